@@ -431,7 +431,7 @@ def changed_bodies(change: Change) -> dict[FunctionType, CodeType] | None:
 
 
 def codes(code: CodeType) -> dict[Place, CodeType] | None:
-    """A code and all inside it; None when two cannot be told apart."""
+    """A code and all inside it; None when two cannot be distinguished."""
     found = {(code.co_qualname, code.co_firstlineno): code}
     for constant in code.co_consts:
         if isinstance(constant, CodeType):

@@ -81,7 +81,7 @@ class Rig:
 
     @property
     def is_released(self) -> bool:
-        """The aircraft was told that this program does not want control any more."""
+        """The aircraft heard that this program does not want control any more."""
         return not self.virtual.vehicle.authority.is_requested and self.device is Device.RC
 
     def is_neutral(self, move: Move) -> bool:

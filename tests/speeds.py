@@ -9,7 +9,7 @@ clock is the machine's, and others may be using it: what a function waits beside
 the list, which a quiet machine writes, and fails no run.
 
 A second of a processor is not the same everywhere: where others use its caches, it does less. The
-cost is therefore counted in a fixed piece of work that is measured beside the tests, and is told in
+cost is therefore counted in a fixed piece of work that is measured beside the tests, given in
 the seconds that it takes on a quiet machine. The time of imports is left out, and of what else is
 done once: the first test that uses a library would pay for all others.
 """

@@ -75,7 +75,7 @@ def test_what_a_contributor_needs_is_in_the_source_archive() -> None:
     assert pages <= set(packed)
 
 
-def test_sessions_and_groups_that_contributors_are_told_of_exist() -> None:
+def test_sessions_and_groups_that_contributors_read_of_exist() -> None:
     text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
     program = (ROOT / "noxfile.py").read_text(encoding="utf-8")
     commands = "\n".join(code_blocks(text, "sh"))
@@ -145,7 +145,7 @@ WHOLE = [
         (WHOLE, release.PAGES, {"anyio", "pyserial-asyncio"}, ["cryptography"]),
     ],
 )
-def test_what_a_release_lacks_is_told(
+def test_what_a_release_lacks_is_reported(
     in_wheel: list[str], in_archive: set[str], components: set[str], wrong: list[str]
 ) -> None:
     told = release.complaints(in_wheel, sorted(in_archive), sorted(components))

@@ -150,7 +150,7 @@ async def test_it(): assert False
     ],
     ids=["real", "virtual"],
 )
-def test_whoever_runs_by_the_clock_of_the_machine_may_stay_unjudged(
+def test_a_test_by_the_clock_of_the_machine_may_stay_unjudged(
     tmp_path: Path, backend: str, told: str
 ) -> None:
     assert told in outcome(tmp_path, STANDS.format(0.6) + LOOP.replace("{0}", backend))[1]

@@ -273,7 +273,7 @@ def test_a_name_that_does_not_exist_is_an_attribute_error_with_its_name() -> Non
 @pytest.mark.parametrize(
     "door", ["aircraft", "apps.agent.server.server", "sim", "apps.station.process", "testing"]
 )
-def test_whoever_comes_in_by_a_door_decides_about_the_log(door: str) -> None:
+def test_the_program_behind_each_entry_decides_about_the_log(door: str) -> None:
     statement = f"import m100link.{door}, logging; logging.getLogger('m100link.x').warning('loud')"
     assert "m100link.link" in loaded_by(statement)
     assert run(statement).stderr == ""

@@ -63,7 +63,7 @@ def anyio_backend() -> object:
     return "asyncio", {"loop_factory": VirtualClockEventLoop}
 
 
-async def test_a_forgotten_await_is_told_from_a_missing_name() -> None:
+async def test_a_forgotten_await_is_distinguished_from_a_missing_name() -> None:
     connecting = m100link.connect("sim://")
     assert repr(connecting) == "<connection to sim://, to be made by `async with` or `await`>"
     with pytest.raises(AttributeError, match=r"has no 'version' yet.*aircraft = await connect"):
@@ -224,7 +224,7 @@ async def test_a_wrong_url_prints_three_that_work(url: str, why: str) -> None:
     assert schemes == ["serial", "/dev/ttyUSB0", "tcp", "sim", "replay"]
 
 
-async def test_a_profile_that_does_not_exist_is_told_before_anything_is_opened() -> None:
+async def test_a_profile_that_does_not_exist_is_reported_before_anything_is_opened() -> None:
     with pytest.raises(UsageError, match=r"no firmware profile is called '9\.9'") as caught:
         async with m100link.connect("/dev/does-not-exist", firmware="9.9"):
             pytest.fail("connected")
@@ -409,7 +409,7 @@ async def test_an_unknown_firmware_gets_telemetry_and_no_command(
 
 @each_firmware
 async def test_activation_asks_for_the_version_first(firmware: str) -> None:
-    """The request depends on the firmware (and ROS users were told: version first)."""
+    """The request depends on the firmware (and DJI told ROS users: version first)."""
     async with rig(activated=False, firmware=firmware) as flown:
         commands = flown.virtual.autopilot.received_commands
         commands.clear()
@@ -460,7 +460,7 @@ async def test_an_active_aircraft_needs_no_phone_any_more() -> None:
 
 
 @pytest.mark.parametrize("code", [1, 2, 4, 5, 6, 7, 8, 77, 0x1234])
-async def test_each_refusal_code_is_told_with_cause_and_remedy(code: int) -> None:
+async def test_each_refusal_code_is_reported_with_cause_and_remedy(code: int) -> None:
     aircraft = await attach_to(Peer(answering(code)))
     with pytest.raises(ActivationRefused) as caught:
         await aircraft.activate(Credentials(app_id=7, key=bytes(32)))
@@ -526,7 +526,7 @@ async def test_a_level_above_the_registered_one_is_refused() -> None:
         assert caught.value.code == ActivationCode.LEVEL_TOO_HIGH
 
 
-async def test_the_link_lost_while_waiting_for_the_server_is_told_as_such() -> None:
+async def test_the_link_lost_while_waiting_for_the_server_is_reported_as_such() -> None:
     settings = AircraftSettings(server_delay=1e9)
     async with rig(activated=False, settings=settings) as flown:
         asyncio.get_running_loop().call_later(5.0, flown.virtual.unplug)
@@ -554,7 +554,9 @@ async def enter_control(aircraft: Aircraft) -> None:
 
 @pytest.mark.parametrize("undecodable", Undecodable, ids=lambda u: u.name.lower())
 @each_firmware
-async def test_a_wrong_key_is_told_as_a_wrong_key(firmware: str, undecodable: Undecodable) -> None:
+async def test_a_wrong_key_is_reported_as_a_wrong_key(
+    firmware: str, undecodable: Undecodable
+) -> None:
     """Plain requests are answered; encrypted ones get 0xFF00, or nothing at all."""
     settings = AircraftSettings(undecodable=undecodable)
     async with rig(firmware=firmware, settings=settings) as flown:
@@ -597,14 +599,14 @@ async def test_an_unknown_command_blames_the_key_only_while_nobody_knows_it(
             await aircraft.execute(Arm(on=True))
 
 
-async def test_not_activated_is_told_as_such() -> None:
+async def test_not_activated_is_reported_as_such() -> None:
     async with rig(activated=False) as flown:
         with pytest.raises(NotActivated, match="0xFF01") as caught:
             await enter_control(flown.aircraft)
         assert caught.value.remedy == "activate first"
 
 
-async def test_a_level_too_low_for_flying_is_told_as_such() -> None:
+async def test_a_level_too_low_for_flying_is_reported_as_such() -> None:
     """Level 1 watches and moves camera and gimbal; flying takes level 2 (document 2.1)."""
     async with rig(activated=False, level=1) as flown:
         await flown.aircraft.activate(flown.virtual.credentials)

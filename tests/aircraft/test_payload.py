@@ -111,7 +111,7 @@ async def test_an_axis_at_its_stop_is_named_when_the_angle_does_not_show(flown: 
 @pytest.mark.parametrize(
     ("rates", "seen"), [({"gimbal": 0}, "has never come"), ({}, r"came \d\.\d s ago")]
 )
-async def test_an_item_that_is_not_sent_is_told_before_anything_is_sent(
+async def test_an_item_that_is_not_sent_is_reported_before_anything_is_sent(
     rates: dict[str, int], seen: str
 ) -> None:
     async with rig(firmware="3.1", assistant=AssistantSettings(rates_hz=rates)) as flown:
@@ -309,7 +309,7 @@ async def test_what_would_be_lost_in_silence_is_refused() -> None:
             await flown.aircraft.camera.start_video()
 
 
-async def test_a_line_that_does_not_drain_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_line_that_does_not_drain_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     async with rig(firmware="3.1") as flown:
         monkeypatch.setattr(flown.aircraft.link, "push", lambda *_, **__: False)
         with pytest.raises(LineBlocked, match="take_photo was not sent: the line takes no more"):

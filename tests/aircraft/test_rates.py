@@ -1,4 +1,4 @@
-"""Telemetry rates: what is asked for is sent, seen, or told."""
+"""Telemetry rates: what is asked for is sent, seen, or reported."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ async def test_an_item_that_was_never_sent_arrives(flown: Rig) -> None:
     assert flown.aircraft.state.control_device is not None
 
 
-async def test_when_it_does_not_happen_it_is_told(
+async def test_when_it_does_not_happen_it_is_reported(
     flown: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(flown.virtual.autopilot, "set_rates", lambda rates: None)

@@ -136,7 +136,7 @@ async def test_a_silence_is_as_long_as_it_was_by_the_clock_of_the_flight(
         assert oldest == pytest.approx(10.0, abs=0.2)
 
 
-async def test_who_had_control_is_told_as_it_was(path: Path) -> None:
+async def test_the_holder_of_control_is_reported_as_it_was(path: Path) -> None:
     async with connect(f"replay://{path}?speed=10") as replay:
         events = replay.events()
         told = []
@@ -150,7 +150,7 @@ async def test_who_had_control_is_told_as_it_was(path: Path) -> None:
     assert isinstance(end.error, ReplayEnded)
 
 
-async def test_whoever_begins_in_flight_sees_who_has_control(path: Path) -> None:
+async def test_a_reader_that_begins_in_flight_sees_who_has_control(path: Path) -> None:
     async with connect(f"replay://{path}?from=8&to=9") as replay:
         assert replay.authority.state.value == "held"
         await asyncio.sleep(0.01)
@@ -192,7 +192,7 @@ async def test_an_order_is_refused_with_nothing_sent(path: Path) -> None:
         replay.use_key(credentials)  # what was encrypted can be read with it
 
 
-async def test_the_end_is_told_apart_from_a_lost_cable(path: Path) -> None:
+async def test_the_end_is_distinguished_from_a_lost_cable(path: Path) -> None:
     async with connect(f"replay://{path}?speed=max") as replay:
         error = await replay.wait_closed()
         assert isinstance(error, ReplayEnded)
@@ -231,7 +231,7 @@ async def test_as_fast_as_it_is_taken_loses_nothing(path: Path, policy: Any, pau
     assert got == sorted(got)
 
 
-async def test_as_fast_as_it_is_taken_begins_with_whoever_takes_it(path: Path) -> None:
+async def test_as_fast_as_it_is_taken_begins_with_its_taker(path: Path) -> None:
     aircraft = await connect(f"replay://{path}?speed=max")
     await asyncio.sleep(0.5)
     assert aircraft.state.newest_age is None

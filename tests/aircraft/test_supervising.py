@@ -96,7 +96,7 @@ async def test_what_is_not_there_yet_is_waited_for() -> None:
     assert not aircraft.is_connected
 
 
-async def test_each_change_is_told_with_its_reason() -> None:
+async def test_each_change_is_reported_with_its_reason() -> None:
     cable = Cable()
     async with supervised(cable) as one:
         events = one.events()
@@ -302,7 +302,7 @@ async def test_it_is_begun_once() -> None:
         await one.__aenter__()
 
 
-async def test_a_consumer_that_falls_behind_is_told_as_ever() -> None:
+async def test_a_consumer_that_falls_behind_is_reported_as_ever() -> None:
     async with supervised(Cable(virtual())) as one:
         await one.connected()
         async with one.telemetry(policy=Lossless(5)) as samples:

@@ -226,7 +226,7 @@ async def test_of_two_on_one_port_the_second_waits_until_the_first_has_gone() ->
                 await second.connected()
 
 
-async def test_an_open_line_of_which_the_end_is_told_late_is_nobodys() -> None:
+async def test_an_open_line_of_which_the_end_is_reported_late_is_nobodys() -> None:
     async with supervised(Cable(virtual())) as one:
         first = await one.connected()
         first.link.connection_lost(OSError("unplugged"))

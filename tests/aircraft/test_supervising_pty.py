@@ -66,7 +66,7 @@ async def test_telemetry_goes_on_behind_a_gap_and_control_never_does(tmp_path: P
             await until(lambda: driver.aircraft.vehicle.flight.dynamics.speed < 0.1)
         consumer.cancel()
         await asyncio.wait([consumer])
-        # The aircraft was not told: it hovers for whoever obtains control next, and gives it back.
+        # It does not know: it hovers for the next program in control, which gives it back.
         assert device() is Device.ONBOARD
         async with aircraft.control(stop="land"):
             pass

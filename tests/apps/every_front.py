@@ -137,7 +137,7 @@ class Front(ABC):
 
     @abstractmethod
     def words(self) -> str:
-        """All that its user was told until now."""
+        """All that its user heard until now."""
 
     # -- what happens to all of them ---------------------------------------------------------------
 
@@ -200,7 +200,7 @@ class BesideAnAgent(Front):
         self.tasks: list[asyncio.Task[Any]] = []
 
     def spawn(self, work: Coroutine[Any, Any, Any]) -> None:
-        """What the user waits for while the test looks on; what it raises is told."""
+        """What the user waits for while the test looks on; what it raises is kept."""
 
         async def told() -> None:
             try:

@@ -2,7 +2,7 @@
 
 Each cell flies the virtual aircraft to the north by the hand of one front, lets one thing happen,
 and goes on sending setpoints as a held key or a program does. Judged is what the aircraft did, by
-whom control is held then, and what the user of that front was told. Kills are of a channel here,
+whom control is held then, and what the user of that front heard. Kills are of a channel here,
 on virtual time; :data:`BY_PROCESSES` names the tests that kill processes.
 """
 
@@ -81,7 +81,7 @@ class Has(Enum):
     OTHER = "the other"
     LEASE_ONLY = "the other has the lease, and the pilot the sticks: nobody asked for authority"
     NOBODY = "nobody: the pilot has the sticks"
-    UNHEARD = "the aircraft was told nothing; it obeys nobody's setpoints, and the pilot out of F"
+    UNHEARD = "the aircraft heard nothing; it obeys nobody's setpoints, and the pilot out of F"
 
 
 class End(NamedTuple):
@@ -90,7 +90,7 @@ class End(NamedTuple):
     does: Does
     within: float  # seconds
     has: Has
-    told: str  # what the user reads, as a pattern; empty where nothing is to be told
+    told: str  # what the user reads, as a pattern; empty where nothing is to be reported
     # How the user flies again: "let go" of everything for a second, or by control taken anew;
     # empty where that is another test's.
     again: str = ""
@@ -215,7 +215,7 @@ TABLE: dict[Event, dict[type[Front], End | Cannot]] = {
         Ros2: End(H, LASTS_05, UNHEARD, "line: the agent has gone"),
         FleetPilot: End(H, LASTS_05, UNHEARD, "OutcomeUnknown: a1 gave no answer for 3 s"),
         FarConsole: End(H, LASTS_05, UNHEARD, "the agent .* has said nothing for"),
-        Performer: End(H, LASTS_05, UNHEARD, UNTOLD),  # told after 7 s: see its own tests
+        Performer: End(H, LASTS_05, UNHEARD, UNTOLD),  # reported after 7 s: see its own tests
         Sync: Cannot("it has no agent: the program is the owner of the line"),
     },
     Event.LOSE_LINK: {
@@ -259,7 +259,7 @@ BY_PROCESSES: dict[type[Front], tuple[str, ...]] = {
         "browser.long.test_disturbances.test_front_killed",
         "browser.long.test_disturbances.test_agent_killed",
     ),
-    Rosbridge: ("attacks.test_attacks.test_whoever_is_lost_costs_a_hover_and_the_next_flies_on",),
+    Rosbridge: ("attacks.test_attacks.test_a_lost_client_costs_a_hover_and_the_next_flies_on",),
     Mavlink: (
         "interop.mavlink.test_programs.test_a_program_that_is_killed_leaves_a_hover",
         "interop.mavlink.test_programs.test_a_front_that_is_killed_leaves_a_hover_and_comes_back",

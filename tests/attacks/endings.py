@@ -395,7 +395,7 @@ class Flight:
             "the program does not end": self._is_stuck,
             f"it asked for {self.asked_for}": bool(self.asked_for),
         }
-        if ending == "unplug":  # nobody can be told
+        if ending == "unplug":  # nobody can hear it
             return [name for name, is_so in wrong.items() if is_so]
         wrong["the aircraft is not released"] = there.device == ONBOARD
         if flight == "mission":
@@ -403,7 +403,7 @@ class Flight:
         elif moves and ending not in (*_UNWANTED, "land"):  # that one ends what was flown
             wrong[f"the last movement is {moves[-1]}"] = moves[-1] != (0.0, 0.0, 0.0, 0.0)
         if flight == "land" and ending not in _UNWANTED:
-            wrong["it was not told to land"] = LAND not in there.tasks
+            wrong["it was not ordered to land"] = LAND not in there.tasks
         if ending in signal.Signals.__members__:
             wrong[f"signals acted: {self.acted}"] = self.acted != [signal.Signals[ending]]
         return [name for name, is_so in wrong.items() if is_so]

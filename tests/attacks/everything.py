@@ -270,7 +270,7 @@ def main() -> None:
     if options.tls:
         context = ssl.create_default_context()
         context.check_hostname = False
-        context.verify_mode = ssl.CERT_NONE  # whoever attacks does not mind
+        context.verify_mode = ssl.CERT_NONE  # an attacker does not mind
     target = Target(
         options.port, options.console, options.token, options.metrics, options.foxglove, context
     )

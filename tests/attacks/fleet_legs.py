@@ -45,7 +45,7 @@ class Cut:
         return f"{self.leg} {'both ways' if len(self.ways) == 2 else self.ways[0]}"
 
     def rules(self, port: int) -> list[list[str]]:
-        """What iptables is told, behind ``-A`` or ``-D``."""
+        """The arguments of iptables, behind ``-A`` or ``-D``."""
         host, number = HOSTS[self.leg], str(port)
         ends = {_TO: ("-d", host, "--dport", number), _FROM: ("-s", host, "--sport", number)}
         return [["INPUT", "-p", "tcp", *ends[way], "-j", "DROP"] for way in self.ways]
@@ -67,9 +67,9 @@ class Seen:
         cut: Of what.
         still_s: Until the aircraft was below 0.3 m/s, and stayed there for a second.
         landed_s: Until it was down, by ``--lost land``.
-        gone_s: Until somebody who watches was told that the agent is gone; None when he was not.
-        told_s: Until the pilot's program was told.
-        told: What it was told: the class, and what was seen.
+        gone_s: Until a client that watches heard that the agent is gone; None when it did not.
+        told_s: Until the operator's program heard of it.
+        told: What it heard: the class, and what was seen.
         moved_m_s: Greatest horizontal speed in the three seconds after the leg was whole again.
     """
 
@@ -89,7 +89,7 @@ async def _iptables(what: str, rules: list[list[str]]) -> None:
 
 
 async def _told(site: Site) -> tuple[float, dict[str, str]]:
-    """When the pilot's program said what it was told, and that."""
+    """When the operator's program said what it heard, and that."""
     stdout = site.processes["pilot"].stdout
     assert stdout is not None
     found: dict[str, str] = json.loads(await stdout.readline())
@@ -134,9 +134,9 @@ def line(seen: Seen) -> str:
 
 
 def is_as_it_should(seen: Seen) -> bool:
-    """Whether it hovered in time, stayed where it was, and everybody was told what is true.
+    """Whether it hovered in time, stayed where it was, and everybody heard what is true.
 
-    Of a pilot who is cut off nobody else is told that the agent is gone: it is there. He himself
+    While one operator is cut off, nobody else hears that the agent is gone: it is there. He himself
     knows of nothing that it did since.
     """
     if seen.cut.leg == "agent":

@@ -71,7 +71,7 @@ class Flown:
         skew_s: Between the first and the last that began, by where they really were.
         nearest_m: The nearest that any two came to each other once they had begun.
         status: Exit status of the command.
-        told: What it told while they flew.
+        told: What it printed while they flew.
         stages: How it ended for each, and why.
         farthest_m: Farthest from their tracks of those that nobody attacked, by where they really
             were; that the clock here is not the fleet's is in it.
@@ -299,7 +299,7 @@ async def _attack(made: Company, flown: Flown, names: Sequence[str]) -> None:
 
 
 def is_kept(flown: Flown) -> bool:
-    """Whether all began together, kept to their tracks, and whoever was attacked hovers."""
+    """Whether all began together, kept to their tracks, and the attacked one hovers."""
     return (
         flown.skew_s <= SKEW_S
         and flown.farthest_m <= TUBE_M

@@ -3,7 +3,7 @@
 The aircraft stands behind a pseudo-terminal in this process, the station is ``m100link serve`` in
 two. A client flies to the east; at a random moment the front or the agent is killed (SIGKILL) or
 stopped (SIGSTOP). Then the aircraft is asked whether it hovers and has control authority back, a
-front without its agent whether it says so, and whoever comes next whether it flies on: beside an
+front without its agent whether it says so, and the next client whether it flies on: beside an
 agent that went on, or with a new one. The first thing that is not so ends the program.
 """
 
@@ -51,7 +51,7 @@ _STILL = 0.15  # m/s: the wander of a hover
 
 
 class Pilot:
-    """A client that flies to the east and notes what it is told."""
+    """A client that flies to the east and notes what it hears."""
 
     def __init__(self, client: ClientConnection) -> None:
         self._client = client
@@ -109,7 +109,7 @@ async def piloted(port: int) -> AsyncIterator[Pilot]:
         yield pilot
     finally:
         listening.cancel()
-        client.transport.abort()  # whoever hangs does not say goodbye
+        client.transport.abort()  # a client that hangs does not say goodbye
 
 
 @asynccontextmanager
@@ -147,7 +147,7 @@ def front_of(agent: asyncio.subprocess.Process) -> int:
 
 
 async def health(port: int) -> dict[str, Any]:
-    """What a front says of the aircraft, to whoever asks by HTTP."""
+    """What a front says of the aircraft, to a program that asks by HTTP."""
 
     def get() -> bytes:
         try:

@@ -1,4 +1,4 @@
-"""While strangers do their worst, the pilot flies on, and whoever is welcome gets in."""
+"""While strangers do their worst, the operator flies on, and a welcome client gets in."""
 
 from __future__ import annotations
 
@@ -137,7 +137,7 @@ async def gets_in(one: RunningStation) -> bool:
 
 
 @pytest.mark.parametrize("name", ["half_open", "idle_sockets"])
-async def test_whoever_is_welcome_gets_in(name: str) -> None:
+async def test_a_welcome_client_gets_in(name: str) -> None:
     async with station(max_clients=8) as one:
         attacker = await asyncio.create_subprocess_exec(
             *(sys.executable, "-m", f"tests.attacks.{name}", str(one.sockets.port("rosbridge"))),
@@ -153,7 +153,7 @@ async def test_whoever_is_welcome_gets_in(name: str) -> None:
             await attacker.wait()
 
 
-async def test_an_operator_takes_over_from_whoever_while_a_spammer_asks() -> None:
+async def test_an_operator_takes_over_from_anybody_while_a_spammer_asks() -> None:
     async with flying() as (one, _):
         attacker = await asyncio.create_subprocess_exec(
             *(
@@ -184,7 +184,7 @@ async def test_an_operator_takes_over_from_whoever_while_a_spammer_asks() -> Non
 
 
 @pytest.mark.pty
-async def test_whoever_is_lost_costs_a_hover_and_the_next_flies_on() -> None:
+async def test_a_lost_client_costs_a_hover_and_the_next_flies_on() -> None:
     """One of each; ``python -m tests.attacks.losses`` has as many as are wanted."""
     found = await lose_at_random(LOSSES, times=1, seed=1)
     assert [name for name, _ in found] == [f"{which} {how.name}" for which, how in LOSSES]

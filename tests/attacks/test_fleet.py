@@ -65,7 +65,7 @@ def may_drop_packets() -> str:
 
 @pytest.mark.skipif(bool(may_drop_packets()), reason=may_drop_packets() or "it may")
 @pytest.mark.parametrize("cut", CUTS, ids=str)
-def test_a_leg_that_is_cut_costs_a_hover_and_whoever_is_told_is_told_the_truth(cut: Cut) -> None:
+def test_a_leg_that_is_cut_costs_a_hover_and_every_report_is_true(cut: Cut) -> None:
     flown = f"ip link set lo up && exec {sys.executable} -m tests.attacks.fleet_legs --only '{cut}'"
     ended = subprocess.run(
         ["unshare", "-n", "sh", "-c", flown], check=False, capture_output=True, text=True

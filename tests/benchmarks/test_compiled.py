@@ -38,7 +38,9 @@ def test_a_floor_is_built_and_gone_afterwards(
 
 
 @pytest.mark.skipif(compiler() is None, reason="no C compiler")
-def test_what_the_compiler_refuses_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_the_compiler_refuses_is_reported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     write(tmp_path, "int main(void) { nonsense }", monkeypatch)
     with (
         ExitStack() as stack,

@@ -36,7 +36,7 @@ def test_a_row_without_figures_says_why() -> None:
     assert report.cells(found)[-1] == "not measured: no C compiler"
 
 
-def test_costs_are_told_in_the_unit_that_fits() -> None:
+def test_costs_are_reported_in_the_unit_that_fits() -> None:
     def unit(seconds: float) -> tuple[str, float]:
         found = report.cost_result("frames", "decode", "s", [seconds], None)
         return found["unit"], found["now"]["median"]

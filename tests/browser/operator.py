@@ -1,7 +1,7 @@
 """What an operator does at the page: presses, holds, steers, and again where the page says why not.
 
 A page on a busy machine stands still for a second now and then. It then drops what was held, says
-so and asks for a new press; whoever operates it gives that, and so do these.
+so and asks for a new press; an operator gives that, and so do these.
 """
 
 from __future__ import annotations
@@ -185,7 +185,7 @@ async def airborne(console: Console, script: str = "", page: Any = None) -> Any:
     Args:
         script: Runs in the page before its own.
         page: One that is open; by default another is opened. To open one costs so much that a busy
-            machine may hear nothing of another for too long: whoever needs two opens both first.
+            machine may hear nothing of another for too long: a test of two opens both first.
     """
     page = page or await console.open(script)
     await in_control(page)

@@ -1,4 +1,4 @@
-"""What the operator is told: seen, heard, acknowledged, kept; and take-off by the checklist."""
+"""What the operator learns: seen, heard, acknowledged, kept; and take-off by the checklist."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ async def test_an_alarm_is_seen_heard_acknowledged_and_kept(console: Console) ->
     alarm = "[data-alarm=battery_low]"
     await page.wait_for_selector(f"{alarm}.raised.warning:visible")
     await shows(page, alarm, "Battery 20 %: land soon")
-    await shows(page, "#alarm-loud", "land soon")  # for whoever does not see it
+    await shows(page, "#alarm-loud", "land soon")  # for an operator who looks away
     await heard(page, "warning")
     await page.wait_for_function("window.m100.heard.beeps > 0")
     # Once, whatever else there is to say on a busy machine: that nobody was heard for a second.
@@ -54,7 +54,9 @@ async def test_an_alarm_is_seen_heard_acknowledged_and_kept(console: Console) ->
     assert (row["source"], row["level"]) == ("page", "info")
 
 
-async def test_sound_that_the_browser_blocks_is_told_until_it_is_allowed(console: Console) -> None:
+async def test_sound_that_the_browser_blocks_is_reported_until_it_is_allowed(
+    console: Console,
+) -> None:
     page = await console.open()
     # No click has come yet, so no browser lets the page sound.
     await page.evaluate("document.querySelector('#alarm-sound').dataset.level = 'danger'")

@@ -117,7 +117,7 @@ async def test_buttons_stay_where_the_finger_is_or_say_that_they_moved(console: 
     places = "() => [...document.querySelectorAll('.orders .act')].map((one) => one.offsetTop)"
     before = await page.evaluate(places)
     await in_control(page)
-    await look_around(page)  # what was missing above them is told no more
+    await look_around(page)  # the missing values above them are named no more
     await page.wait_for_selector("[data-act=take_off]:not([disabled])")
     await page.wait_for_selector("#why-not", state="hidden")
     assert await page.evaluate(places) == before

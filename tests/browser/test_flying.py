@@ -67,7 +67,7 @@ async def test_losing_focus_stops_although_the_key_is_held(flight: Flight, how: 
 
 
 @pytest.mark.smoke
-async def test_a_key_whose_release_is_not_told_stops(flight: Flight) -> None:
+async def test_a_key_whose_release_is_not_reported_stops(flight: Flight) -> None:
     console, page = flight
     await hold_key(page, "w", lambda: console.watch.speed[1] > 0.5)
     await page.keyboard.down("Meta")  # macOS sends no keyup from now on

@@ -1,4 +1,4 @@
-"""A page of another site gives no order, whatever its user does; whoever sits here gives all."""
+"""A page of another site gives no order, whatever its user does; the user here gives all."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ async def test_a_popup_of_another_site_cannot_be_flown_by_fragments(
         popup = await opening.value
         await popup.wait_for_load_state()
         await until(lambda: popup.url.startswith(console.url))
-        for _ in range(30):  # seconds, as they hold and press what they are told to
+        for _ in range(30):  # seconds, as they hold and press what the page names
             await page.evaluate(f"window.w.location = {console.url + '#' + fragment!r}")
             await popup.keyboard.down("Enter")
             await asyncio.sleep(0.1)

@@ -50,7 +50,7 @@ async def test_a_replay_is_said_to_be_one_is_moved_and_offers_no_control(
                 assert not await page.is_visible(f"[data-act={hidden}]"), hidden
             for hidden in ("#pad", "[data-go=plan]", "[data-go=check]"):
                 assert not await page.is_visible(hidden), hidden
-            # At its end it stands; from its beginning it goes on, until it is told to stand.
+            # At its end it stands; from its beginning it goes on, until it is paused.
             note, place = page.locator("#replay-note"), page.locator("#replay-place")
             await expect(note).to_have_text("at its end", timeout=1000 * PATIENCE)
             await asyncio.sleep(3.0)

@@ -46,7 +46,7 @@ def test_the_same_error_again_has_its_cause_and_everything_else() -> None:
     ],
     ids=lambda one: type(one).__name__,
 )
-def test_what_the_system_lacks_is_told_as_that(error: Exception) -> None:
+def test_what_the_system_lacks_is_reported_as_that(error: Exception) -> None:
     said = "control was not asked for"
     with pytest.raises(OutOfResources, match=said) as caught, of_the_system("control"):
         raise error

@@ -1,4 +1,4 @@
-"""Damage drawn at random to what is stored: is every loss told?
+"""Damage drawn at random to what is stored: is every loss reported?
 
 ::
 
@@ -8,7 +8,7 @@
 Of a file that was written as ever a copy is damaged as disks do: bits turn over, runs are zeroed or
 filled with junk, sectors change places, the end is cut off. The judge knows what the file held, and
 asks what a reader says of the copy. It may refuse it with a typed error. What it passes on must be
-what was written; what it does not pass on must be told.
+what was written; what it does not pass on must be reported.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ def run(name: str, wholes: list[bytes], judge: Judge, files: int, seed: int) -> 
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Draw, and say what was not told."""
+    """Draw, and say what was not reported."""
     from tests.faults.damaged_kinds import KINDS
 
     parser = argparse.ArgumentParser(description=__doc__)

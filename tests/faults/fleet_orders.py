@@ -6,7 +6,7 @@ A pilot sends messages to the app behind one aircraft, each with a number of its
 network that loses, repeats, delays and reorders; the agent loses its memory now and then, as if it
 had been killed, and keeps its ledger. The app counts how often each number arrived. What may not
 be: a number twice, ``ok`` for one that did not arrive, and one that arrived for which anything but
-``ok`` or ``unknown`` was told.
+``ok`` or ``unknown`` was reported.
 """
 
 from __future__ import annotations
@@ -51,11 +51,11 @@ class Counted:
     """What was seen.
 
     Attributes:
-        outcomes: How often each was told.
+        outcomes: How often each was reported.
         restarts: How often the agent lost its memory.
         twice: Numbers that arrived more than once.
-        false_ok: Numbers told as ``ok`` that did not arrive.
-        hidden: Numbers that arrived and were told as not done.
+        false_ok: Numbers reported as ``ok`` that did not arrive.
+        hidden: Numbers that arrived and were reported as not done.
     """
 
     outcomes: Counter[Outcome]
@@ -71,7 +71,7 @@ class Counted:
 
 
 class Ordering:
-    """Who orders, keeps the lease, and notes what each order is told as.
+    """Who orders, keeps the lease, and notes the outcome of each order.
 
     Args:
         count: Orders.
@@ -79,7 +79,7 @@ class Ordering:
 
     Attributes:
         told: What became of each, by its number.
-        most: How many may be told by now; what is to happen among them may take its time.
+        most: How many may have an outcome by now; what is to happen among them may take its time.
     """
 
     def __init__(self, count: int, *, activates: bool = False) -> None:
@@ -100,7 +100,7 @@ class Ordering:
                         await asker.ask(activate, fence=lease.number, token=lease.token)
                     self._lease = lease
                 await asyncio.sleep(0.3)
-                if self._lease is not None:  # an order may have been told meanwhile that it ended
+                if self._lease is not None:  # an order may have heard meanwhile that it ended
                     await asker.renew(self._lease, within=0.5)
             except M100Error:
                 self._lease = None  # it ended, or its agent did: another one is asked for
@@ -128,7 +128,7 @@ class Ordering:
         return is_due and await asker.is_there() and self._lease is not None
 
     def counted(self, received: Iterable[bytes], restarts: int) -> Counted:
-        """Compare what was told with what arrived at the app."""
+        """Compare the outcomes with what arrived at the app."""
         arrived = Counter(map(int, received))
         good = (Outcome.OK, Outcome.UNKNOWN)
         return Counted(

@@ -74,7 +74,7 @@ class Outcome:
         unknown: Those that ran out of tries.
         repeats: Transmissions beyond the first.
         missed: Answered, and not executed exactly once.
-        twice: Executed more than once, whatever was told of them.
+        twice: Executed more than once, whatever was reported of them.
         crossed: Answered with the answer of another one.
         unread: Frames that arrived whole and were not read, at both ends.
         busy: Sessions that do not answer at once when the line is good again.

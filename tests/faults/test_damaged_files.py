@@ -22,7 +22,7 @@ def has_attributes(folder: Path) -> bool:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_no_loss_is_untold(kind: str, tmp_path: Path) -> None:
+def test_no_loss_goes_unreported(kind: str, tmp_path: Path) -> None:
     if kind == "configuration" and not has_attributes(tmp_path):
         pytest.skip("this file system has no attributes, by which a change is noticed")
     wholes, judge = KINDS[kind](tmp_path)

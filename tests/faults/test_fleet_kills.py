@@ -1,4 +1,4 @@
-"""Cables that are cut and an agent that is killed: nothing is told that was not so."""
+"""Cables that are cut and an agent that is killed: every report is true."""
 
 from __future__ import annotations
 

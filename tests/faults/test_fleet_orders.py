@@ -1,4 +1,4 @@
-"""In bad weather an order is carried out at most once, and nothing is told that was not so."""
+"""In bad weather an order is carried out at most once, and every report is true."""
 
 from __future__ import annotations
 

@@ -122,7 +122,7 @@ LOSSES: dict[str, Callable[[], None]] = {
 
 
 def is_left_by_a_child(way: str) -> bool:
-    """Have a child that ends as it is told to. Returns whether this is one that is to return."""
+    """Have a child that ends as ordered. Returns whether this is one that is to return."""
     if os.fork() != 0:
         return False
     if way == "exit":

@@ -288,7 +288,7 @@ class ForeignMissions:
     # -- pushes ----------------------------------------------------------------------------------
 
     def pushes(self) -> list[bytes]:
-        """What is to be told now: events, and the status at 10 Hz."""
+        """The pushes that are due: events, and the status at 10 Hz."""
         waiting, self._pushes = self._pushes, []
         if self._steps % 5 == 0:
             waiting.append(b"\x02\x03" + self._status())

@@ -29,7 +29,7 @@ NEW_REQUEST = "2.2.2.1: after the app took control a new request is needed"
 RELEASE_ANY_TIME = "2.2.2.1: a release may be sent at any time; it is how one makes sure"
 UNHEARD = "nobody said that it was released: it may be ours, and saying otherwise would be a guess"
 MAY_COME_BACK = "QS: the pilot who took it gives it back by going back to F"
-RELEASE_PENDING = "2.2.2.1: the ack of the release decides, whoever holds control meanwhile"
+RELEASE_PENDING = "2.2.2.1: the ack of the release decides, whatever device holds control meanwhile"
 ASK_AGAIN = "2.2.2.1: a request may be sent at any time"
 NO_LINE = "without a line nothing is obeyed and nothing is heard"
 
@@ -246,7 +246,7 @@ def test_each_change_is_reported_once_and_no_change_is_not() -> None:
     assert len(seen) == 4
 
 
-def test_a_listener_that_leaves_while_it_is_told_does_not_cost_the_next_its_news() -> None:
+def test_a_listener_that_leaves_as_it_is_called_does_not_cost_the_next_its_news() -> None:
     authority = Authority(Clock())
     seen: list[str] = []
 

@@ -709,7 +709,7 @@ def test_a_block_in_another_thread_leaves_signals_alone() -> None:
         try:
             with asyncio.Runner(loop_factory=VirtualClockEventLoop) as runner:
                 runner.run(fly())
-        except BaseException as error:  # noqa: BLE001 (told in the test's own thread)
+        except BaseException as error:  # noqa: BLE001 (raised in the test's own thread)
             failures.append(error)
 
     thread = threading.Thread(target=work)

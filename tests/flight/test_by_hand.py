@@ -152,7 +152,7 @@ async def test_a_task_under_way_raises_the_loss(firmware: str) -> None:
         asyncio.get_running_loop().call_later(2.0, flown.virtual.leave_f)
         with pytest.raises(AuthorityLost):
             await control.take_off()
-        await control.release()  # the reason was told: nothing is raised again
+        await control.release()  # the reason was raised: nothing is raised again
         assert control.setpoints_sent == 0
 
 
@@ -171,7 +171,7 @@ async def test_a_loss_between_two_calls_is_raised_by_the_next_one() -> None:
         await control.release()
 
 
-async def test_a_loss_that_no_call_told_is_told_by_the_release() -> None:
+async def test_a_loss_that_no_call_raised_is_raised_by_the_release() -> None:
     async with rig() as flown:
         control = await flying(flown)
         flown.virtual.leave_f()
@@ -181,7 +181,7 @@ async def test_a_loss_that_no_call_told_is_told_by_the_release() -> None:
         await control.release()
 
 
-async def test_a_loss_that_a_block_told_is_not_told_again_by_a_release() -> None:
+async def test_a_loss_that_a_block_raised_is_not_raised_again_by_a_release() -> None:
     async with rig() as flown:
         control = flown.aircraft.control()
         with pytest.raises(AuthorityLost):

@@ -515,7 +515,7 @@ async def test_stop_with_nothing_to_stop_takes_no_time(flying: tuple[Rig, Contro
 
 
 @pytest.mark.parametrize("state", [s for s in AuthorityState if s is not AuthorityState.HELD])
-async def test_without_authority_no_frame_passes_the_last_gate_whoever_was_told(
+async def test_without_authority_no_frame_passes_the_last_gate_whatever_was_reported(
     flying: tuple[Rig, Control], state: AuthorityState
 ) -> None:
     """The state alone: nobody is notified, and the sending task has a setpoint that lives."""

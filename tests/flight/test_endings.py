@@ -255,4 +255,4 @@ def test_a_mission_whose_process_nobody_guards() -> None:
             process.wait(timeout=PATIENCE)
             flown, orders = there.missions.flown_m, len(there.missions.orders)
             blocking_until(lambda: there.missions.flown_m > flown + 0.5)
-            assert len(there.missions.orders) == orders, "nobody told it anything"
+            assert len(there.missions.orders) == orders, "nobody ordered anything"

@@ -117,7 +117,7 @@ def test_what_does_not_begin_in_time_is_ignored(asked: str) -> None:
         (NORTH, {"attitude": (0.0, -9.0, 0.0)}),  # leans against the wind
         (velocity(north=0.0, east=3.0), {"attitude": (9.0, 0.0, 0.0)}),
         (velocity(north=0.0, east=3.0), {"attitude": (0.0, -9.0, 90.0)}),
-        (velocity(north=0.9, east=0.0), {}),  # too slow to be told from gusts
+        (velocity(north=0.9, east=0.0), {}),  # too slow to be distinguished from gusts
         (velocity(north=0.0, east=0.0), {"velocity": (-3.0, 2.0, 0.0)}),
         (IGNORED["offset"], {"velocity": (0.0, 0.9, 0.0)}),
         (Setpoint.position_offset(north=2, east=0, up=0, yaw_rate_deg_s=0), {}),

@@ -222,7 +222,7 @@ async def test_a_place_that_is_none_is_foreseen_as_refused() -> None:
         assert any("cannot be flown to" in one.seen for one in foreseen.refusals)
 
 
-async def test_on_the_ground_it_is_refused_and_an_unknown_position_is_told() -> None:
+async def test_on_the_ground_it_is_refused_and_an_unknown_position_is_reported() -> None:
     async with rig() as flown:
         await anyio.sleep(1.0)
         guards = GuardKeeper(Guards(), flown.aircraft.state)

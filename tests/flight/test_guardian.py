@@ -227,7 +227,7 @@ def test_a_landing_that_was_begun_by_the_stop_path_goes_on_when_the_program_is_k
 
 
 @pytest.mark.pty
-def test_the_next_program_is_told_who_has_the_port_and_to_leave_it_alone() -> None:
+def test_the_next_program_hears_who_has_the_port_and_to_leave_it_alone() -> None:
     async def come(name: str) -> None:
         with pytest.raises(PortBusy, match="m100link-guard") as caught:
             async with m100link.connect(name):
@@ -260,7 +260,7 @@ async def connected(there: ForeignAircraft) -> AsyncIterator[m100link.Aircraft]:
 
 
 @pytest.mark.pty
-def test_a_program_that_comes_back_is_told_and_may_ask_for_control_again() -> None:
+def test_a_program_that_comes_back_gets_an_error_and_may_ask_for_control_again() -> None:
     async def fly(there: ForeignAircraft) -> None:
         async with connected(there) as aircraft:
             with pytest.raises(GuardianTookOver):
@@ -319,7 +319,7 @@ def test_without_a_guardian_by_name_there_is_none() -> None:
 
 
 @pytest.mark.pty
-def test_a_guardian_that_is_lost_is_told_and_the_flight_goes_on(
+def test_a_guardian_that_is_lost_is_reported_and_the_flight_goes_on(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     async def fly(there: ForeignAircraft) -> None:
@@ -614,7 +614,7 @@ def test_a_program_that_stood_still_for_its_patience_writes_no_more(
     assert watched.told == []
 
 
-def test_it_is_told_once_that_the_guardian_has_taken_over(watched: Program) -> None:
+def test_it_is_reported_once_that_the_guardian_has_taken_over(watched: Program) -> None:
     watched.words[page.HOLD] = page.TAKEN
     token = watched.words[page.TOKEN]
     watched.renew(100)

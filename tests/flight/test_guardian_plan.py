@@ -138,7 +138,7 @@ async def test_a_virtual_remote_control_is_centred_and_switched_off_2_2_s_later(
     ]
 
 
-async def test_a_mission_is_told_to_stop_before_anything_else() -> None:
+async def test_a_mission_is_stopped_before_anything_else() -> None:
     async with rig(firmware="3.1") as flown:
         async with flown.aircraft.control() as control:
             async with control.waypoint_mission(long_way(flown), take_off=True):

@@ -304,7 +304,7 @@ async def test_above_the_envelope_climbing_and_thrust_are_refused_descending_is_
     ids=["climb", "thrust"],
 )
 async def test_without_a_height_nothing_climbs(setpoint: Setpoint, what: str) -> None:
-    """The item stops at 5 m; whoever believes it flies to the Moon."""
+    """The item stops at 5 m; a program that believes it flies to the Moon."""
     async with hovering(Guards(envelope=Envelope(max_height_m=10))) as (flown, control):
         flown.virtual.set_rates(position=0)
         await asyncio.sleep(1.5)
@@ -884,7 +884,7 @@ async def test_stale_telemetry_guard_off_by_its_name() -> None:
         flown.virtual.line.stall(to_host=False, to_aircraft=False)
 
 
-async def test_stale_telemetry_waits_as_long_as_it_is_told() -> None:
+async def test_stale_telemetry_waits_as_long_as_it_is_set() -> None:
     async with rig() as flown:
         put(flown)
         await asyncio.sleep(0.1)

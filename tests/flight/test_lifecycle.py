@@ -31,7 +31,7 @@ PILOT = "the pilot may take the aircraft at any moment from the ack on"
 KNOWN = "it is known already"
 UNDER_WAY = "the stop path runs; it asks for authority itself before each step"
 FIRST_CAUSE = "the first cause has chosen the plan, and every plan ends with the aircraft at rest"
-NO_LINE = "without a line the rest of the stop path has nobody to talk to, and the program is told"
+NO_LINE = "without a line the rest of the stop path has no peer, and the program gets the error"
 GUARDED = "the guardian ends the flight; two who do would disturb each other"
 NEVER_AGAIN = "a block that is over never sends again; its authority was given back"
 
@@ -213,7 +213,7 @@ def test_the_first_failure_is_the_one_that_is_raised() -> None:
     assert life.plan == STOP_PLANS[C.LINK_LOST]
 
 
-def test_a_line_lost_during_the_stop_path_is_told_when_nothing_else_is() -> None:
+def test_a_line_lost_during_the_stop_path_is_reported_when_nothing_else_is() -> None:
     life = life_in(S.STOPPING)
     lost = LinkLost("the plug")
     life.feed(C.LINK_LOST, lost)
@@ -228,7 +228,7 @@ PLANS: dict[StopCause, tuple[tuple[bool, bool, bool, bool, bool], str]] = {
     C.CLOSED: ((True, False, True, True, True), "as long as the line is there, it is used"),
     C.AUTHORITY_LOST: (
         (True, True, False, False, True),
-        "whoever took it flies it; say who",
+        "the taker flies it; say who",
     ),
     C.TELEMETRY_STALLED: (
         (True, False, True, True, True),

@@ -21,7 +21,7 @@ FLUSH_S = log_thread.FLUSH_S
 
 
 class Heard(logging.Handler):
-    """Keeps what it is told, and by which thread."""
+    """Keeps its records, and their threads."""
 
     def __init__(self, do: Callable[[], None] = lambda: None) -> None:
         super().__init__()

@@ -165,7 +165,7 @@ async def test_what_does_not_arrive_in_time_says_what_remains_and_hovers() -> No
         await flown.assert_hovers()
 
 
-async def test_a_position_that_is_not_sent_is_told_after_half_a_second() -> None:
+async def test_a_position_that_is_not_sent_is_reported_after_half_a_second() -> None:
     async with flying() as (flown, control):
         flown.virtual.set_rates(position=0)
         await asyncio.sleep(1.0)
@@ -459,7 +459,7 @@ async def test_legs_in_one_frame_do_not_add_up_what_each_missed() -> None:
 
 
 @pytest.mark.parametrize("speed", [0.5, 2.0, 6.0])
-async def test_fly_to_is_not_faster_than_it_was_told(speed: float) -> None:
+async def test_fly_to_is_not_faster_than_ordered(speed: float) -> None:
     fastest = 0.0
 
     def look(_: GuidanceProgress) -> None:
@@ -544,7 +544,7 @@ async def test_a_survey_over_a_field_is_flown() -> None:
 
 
 @pytest.mark.parametrize("start_deg", [None, 0.0, 90.0, -135.0])
-async def test_an_orbit_elsewhere_begins_where_it_was_told(start_deg: float | None) -> None:
+async def test_an_orbit_elsewhere_begins_where_it_was_ordered(start_deg: float | None) -> None:
     track: list[tuple[float, float]] = []
     async with flying() as (flown, control):
         home, (n0, e0) = control.local_frame(), flown.virtual.position

@@ -211,7 +211,7 @@ async def test_at_the_end_no_disarm_is_sent_when_nobody_knows_whether_it_flies(
         assert flown.is_released
 
 
-async def test_whoever_took_the_aircraft_has_the_motors_too(flown: Rig) -> None:
+async def test_the_taker_of_the_aircraft_has_the_motors_too(flown: Rig) -> None:
     async def program() -> None:
         async with flown.aircraft.control() as control:
             await control.arm()

@@ -1,4 +1,4 @@
-"""The geometry of a path, flown by a point whose velocity lags behind what it is told."""
+"""The geometry of a path, flown by a point whose velocity lags behind its setpoint."""
 
 from __future__ import annotations
 

@@ -337,6 +337,6 @@ def test_a_mission_that_nobody_stopped_is_found_and_stopped_by_the_next_program(
         process.wait(timeout=PATIENCE)
         flown = there.missions.flown_m
         time.sleep(1.0)
-        assert there.missions.flown_m > flown + 0.5, "nobody told it to stop"
+        assert there.missions.flown_m > flown + 0.5, "nobody stopped it"
         asyncio.run(look_and_stop(there.name))
         assert not there.missions.flying

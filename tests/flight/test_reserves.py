@@ -90,7 +90,7 @@ except m100link.M100Error as error:
         ("control", "", "OutOfResources"),
     ],
 )
-def test_a_full_table_of_descriptors_is_told_with_cause_and_remedy(
+def test_a_full_table_of_descriptors_is_reported_with_cause_and_remedy(
     what: str, line: str, error: str
 ) -> None:
     program = FULL.format(what=what, line=line)

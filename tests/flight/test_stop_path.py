@@ -112,7 +112,7 @@ async def test_an_exit_stack_that_another_task_unwinds() -> None:
         await assert_all_is_well(flown)
 
 
-async def test_a_loss_is_told_to_whoever_leaves_when_the_task_that_entered_is_gone() -> None:
+async def test_a_loss_is_raised_in_the_task_that_leaves_when_the_one_that_entered_is_gone() -> None:
     async with rig() as flown:
         stack = AsyncExitStack()
 
@@ -390,7 +390,7 @@ async def without_status(flown: Rig) -> None:
 
 
 @each_firmware
-async def test_stop_land_without_a_flight_status_lands_what_was_told_to_take_off(
+async def test_stop_land_without_a_flight_status_lands_what_was_ordered_to_take_off(
     firmware: str,
 ) -> None:
     async with rig(firmware=firmware) as flown:

@@ -211,7 +211,7 @@ async def test_an_old_standby_does_not_show_that_a_landing_is_done() -> None:
             assert flown.virtual.height > 1.0
 
 
-async def test_neither_seen_nor_told_is_not_observed_and_says_that_it_may_still_run() -> None:
+async def test_neither_seen_nor_reported_is_not_observed_and_says_that_it_may_still_run() -> None:
     async with rig() as flown, flown.aircraft.control() as control:
         start = flown.now
         with pytest.raises(

@@ -138,7 +138,7 @@ async def test_sticks_that_are_not_renewed_go_back_within_half_a_second(flown: R
     assert_ended_well(flown)
 
 
-async def test_whoever_never_renews_does_not_keep_the_pilot_out(flown: Rig) -> None:
+async def test_a_program_that_never_renews_does_not_keep_the_pilot_out(flown: Rig) -> None:
     began_at = flown.now
 
     async def hang() -> None:
@@ -153,7 +153,7 @@ async def test_whoever_never_renews_does_not_keep_the_pilot_out(flown: Rig) -> N
 
 
 async def test_another_task_that_lives_renews_nothing(flown: Rig) -> None:
-    """The dead man is whoever calls set(), not the event loop."""
+    """The caller of set() is watched, not the event loop."""
     async with flown.aircraft.virtual_rc() as rc:
         holding = asyncio.create_task(rc.hold(60.0, pitch=0.5))
         await asyncio.sleep(1.0)
@@ -400,7 +400,7 @@ async def test_the_pilots_way_out_must_be_there(change: Callable[[Any], None]) -
         assert switches(flown) == []
 
 
-async def test_telemetry_that_does_not_show_it_on_is_told_and_it_is_switched_off(
+async def test_telemetry_that_does_not_show_it_on_is_reported_and_it_is_switched_off(
     flown: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     virtual = flown.virtual.vehicle.remote.virtual
@@ -446,7 +446,7 @@ async def test_the_guards_see_every_frame(flown: Rig) -> None:
     assert_ended_well(flown)
 
 
-async def test_a_refusal_between_two_calls_centres_and_is_told_by_the_next(flown: Rig) -> None:
+async def test_a_refusal_between_two_calls_centres_and_is_reported_by_the_next(flown: Rig) -> None:
     async with flown.aircraft.virtual_rc() as rc:
         rc.set(pitch=0.3)
         flown.virtual.vehicle.flight.battery_percent = 15.0

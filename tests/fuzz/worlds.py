@@ -581,7 +581,7 @@ def _order(asked: Asked) -> bytes:
 
 
 def fleet_seeds() -> list[bytes]:
-    """A key by its number, and what is asked or told under it."""
+    """A key by its number, and what is asked or sent under it."""
     seeds = [(b"\1" if isinstance(one, LeaseOrder) else b"\0") + _order(one) for one in ORDERS]
     flown = track("a1", (0, 0, 0, 4), (8, 12, 0, 5))
     shown: list[Asked] = [

@@ -17,7 +17,7 @@ def test_a_recipe_works_and_each_forgotten_part_is_named(recipe: Recipe, tmp_pat
 
 
 @pytest.mark.slow
-def test_a_recipe_that_notices_nothing_is_told(tmp_path: Path) -> None:
+def test_a_recipe_that_notices_nothing_is_reported(tmp_path: Path) -> None:
     """The trial itself: parts that nobody misses, and parts that nobody names, are faults."""
     note = Edit("m100link/note.py", "", '"""A note."""\n')
     copied(tmp_path)

@@ -54,7 +54,7 @@ def main(host: str, port: int) -> None:
         call("/nothing", "std_srvs/Empty")
     except Exception as error:  # noqa: BLE001 - its type is what roslibpy makes of it
         seen["wrong_service"] = str(error)
-    # Nobody can publish there: told by a status, and the connection goes on.
+    # Nobody can publish there: a status reports it, and the connection goes on.
     roslibpy.Topic(ros, "/no_such_topic", "std_msgs/UInt8").publish(roslibpy.Message({"data": 1}))
     phases: list[float] = []
     status = roslibpy.Topic(ros, "/flight_status", "std_msgs/Float32")

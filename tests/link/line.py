@@ -151,7 +151,7 @@ class Loop:
 
 
 class Recorder(asyncio.Protocol):
-    """A protocol that writes down what it is told."""
+    """A protocol that writes down its calls."""
 
     def __init__(self) -> None:
         self.told: list[str] = []

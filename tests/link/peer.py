@@ -1,4 +1,4 @@
-"""The other end of a link, for tests: answers what it is told to, when it is told to."""
+"""The other end of a link, for tests: answers what and when the test says."""
 
 from __future__ import annotations
 

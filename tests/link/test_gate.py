@@ -1,4 +1,4 @@
-"""A gate in front of a line: what it holds back never leaves, and what leaves is told to it."""
+"""A gate in front of a line: what it holds back never leaves, and it hears of what leaves."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ pytestmark = pytest.mark.anyio
 
 
 class Noted:
-    """Lets through what it is told to, and notes what it is asked."""
+    """Lets through what the test chose, and notes what it is asked."""
 
     def __init__(self) -> None:
         self.is_open = True
@@ -28,7 +28,7 @@ class Noted:
         self.told.append(waiting)
 
 
-async def test_each_write_is_asked_for_and_told() -> None:
+async def test_each_write_is_asked_for_and_reported() -> None:
     link, peer, _ = await connected()
     gate = Noted()
     link.gate = gate
@@ -44,7 +44,7 @@ async def test_what_is_held_back_is_dropped_and_never_comes_later() -> None:
     gate = Noted()
     link.gate = gate
     gate.is_open = False
-    assert not link.push(b"\x01\x03abc"), "who steers is told"
+    assert not link.push(b"\x01\x03abc"), "the sender hears it"
     gate.is_open = True
     assert link.push(b"\x01\x03new")
     await settle()

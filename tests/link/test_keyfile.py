@@ -79,7 +79,7 @@ def warned(path: Path, caplog: pytest.LogCaptureFixture) -> bool:
     ]
 
 
-def test_what_changes_though_nobody_writes_it_is_told(
+def test_what_changes_though_nobody_writes_it_is_reported(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     kept: dict[int, bytes] = {}  # not each file system has attributes

@@ -65,7 +65,7 @@ async def test_many_requests_at_once_each_get_their_own_answer() -> None:
     asked = [b"request %d" % number for number in range(500)]
     answers = await asyncio.gather(*(link.request(data) for data in asked))
     assert answers == [b"ack of " + data for data in asked]
-    assert now() == 0, "whoever waits for a session is sent as soon as one is free"
+    assert now() == 0, "a request that waits for a session is sent as soon as one is free"
     assert sorted(peer.data) == sorted(asked)
     assert link.statistics().acks == 500
     await link.close()
@@ -440,7 +440,7 @@ async def test_statistics_count_both_directions() -> None:
     await link.close()
 
 
-async def test_acks_of_nothing_and_of_yesterday_are_told_apart() -> None:
+async def test_acks_of_nothing_and_of_yesterday_are_distinguished() -> None:
     link, _, _ = await connected()
     link.data_received(encode_frame(b"", session=9, sequence=1, is_ack=True))
     await link.request(b"x")

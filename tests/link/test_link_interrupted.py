@@ -96,7 +96,7 @@ class Life:
 
     Attributes:
         taken: Data of what the link handed on.
-        ended: Why, each time that the link told of its end.
+        ended: Why, each time that the link reported its end.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop, interrupt: Interrupt) -> None:

@@ -57,7 +57,7 @@ async def test_bytes_arrive_in_order_on_the_next_pass() -> None:
     assert there.log == []
     await settle()
     assert there.log == [b"one two"]
-    assert here.log == [], "who was not asked to pause need not be told to go on"
+    assert here.log == [], "a sender that was not paused need not be resumed"
 
 
 async def test_a_reader_that_pauses_makes_the_writer_pause() -> None:

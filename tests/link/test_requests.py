@@ -121,7 +121,9 @@ async def test_no_mission_is_started_past_the_control_block(request_: Request[An
 
 
 @pytest.mark.parametrize("request_", AT_REST, ids=repr)
-async def test_whoever_is_connected_may_stop_or_ask_for_a_mission(request_: Request[Any]) -> None:
+async def test_every_connected_program_may_stop_or_ask_for_a_mission(
+    request_: Request[Any],
+) -> None:
     async with rig(firmware="3.1") as flown:
         await flown.aircraft.execute(request_)
         [*_, command] = flown.virtual.autopilot.received_commands
@@ -184,7 +186,7 @@ async def test_the_level_that_the_camera_takes_is_enough(level: int, goes: bool)
         assert flown.virtual.vehicle.camera.photos == int(goes)
 
 
-async def test_a_command_that_the_line_did_not_take_is_told() -> None:
+async def test_a_command_that_the_line_did_not_take_is_reported() -> None:
     async with rig(firmware="3.1") as flown:
         link = flown.aircraft.link
         link.pause_writing()  # as the transport says it
@@ -197,7 +199,7 @@ async def test_a_command_that_the_line_did_not_take_is_told() -> None:
 
 
 @pytest.mark.parametrize("payload", [b"", b"\x07"])
-async def test_what_a_wrong_key_makes_of_an_ack_is_told_as_a_wrong_key(
+async def test_what_a_wrong_key_makes_of_an_ack_is_reported_as_a_wrong_key(
     payload: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async def scrambled(*_: object, **__: object) -> bytes:

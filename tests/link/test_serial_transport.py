@@ -106,7 +106,7 @@ EVENTS: dict[str, Callable[[Bench], None]] = {
 }
 
 OPEN, CLOSING, CLOSED = PortState.OPEN, PortState.CLOSING, PortState.CLOSED
-# Per state and event: the state after it, bytes unsent, bytes sent, and what the protocol is told.
+# Per state and event: the state after it, bytes unsent, bytes sent, and the calls of the protocol.
 TABLE: dict[str, dict[str, tuple[PortState, int, bytes, str]]] = {
     "flowing": {
         "write": (OPEN, 0, b"frame", ""),
@@ -174,7 +174,7 @@ TABLE: dict[str, dict[str, tuple[PortState, int, bytes, str]]] = {
 
 
 def told(protocol: Recorder) -> str:
-    """What the protocol was told, in words."""
+    """The calls of the protocol, in words."""
     words = ["paused"] if "pause" in protocol.told else []
     words += ["resumed"] if "resume" in protocol.told else []
     words += [data.decode() for data in protocol.received]
@@ -307,7 +307,7 @@ def test_writing_goes_on_at_a_quarter_of_the_limit(bench: Bench) -> None:
     assert bench.protocol.told == ["made", "pause", "resume"]
 
 
-def test_a_protocol_that_writes_when_told_to_resume_is_told_to_pause_again(bench: Bench) -> None:
+def test_a_protocol_that_writes_when_resumed_is_paused_again(bench: Bench) -> None:
     def write_more() -> None:
         bench.protocol.told.append("resume")
         bench.line.room = 0
@@ -481,7 +481,7 @@ def writing(life: Interrupted) -> None:
     assert life.was_sent(), life.interrupt.came_in
     assert life.bench.transport.get_write_buffer_size() == 0
     assert life.bench.loop.writer is None, "it would be called for ever"
-    # Told to pause, told to resume: never left paused.
+    # Paused and resumed: never left paused.
     assert life.bench.protocol.told[-1] in ("made", "resume")
 
 

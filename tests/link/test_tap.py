@@ -79,7 +79,7 @@ async def test_a_tap_that_raises_is_logged_once_and_the_line_goes_on(
     assert "not called again" in record.message
 
 
-async def test_what_becomes_of_the_line_is_told_through_a_tap() -> None:
+async def test_what_becomes_of_the_line_is_reported_through_a_tap() -> None:
     loop = asyncio.get_running_loop()
     lost: list[Exception] = []
     here, there = Link(on_lost=lost.append), Link()
@@ -89,7 +89,7 @@ async def test_what_becomes_of_the_line_is_told_through_a_tap() -> None:
     dropped = 0
     for _ in range(5000):
         dropped += not here.push(bytes(500))
-    assert dropped, "the link was not told that its line is full"
+    assert dropped, "the link did not hear that its line is full"
     there._transport.abort()  # type: ignore[union-attr]
     await settle()
     assert isinstance(here.failure, LinkLost)

@@ -192,7 +192,7 @@ async def test_an_opening_that_is_cut_off_gives_the_line_back(
     task.cancel()
     with pytest.raises(asyncio.CancelledError):
         await asyncio.wait_for(task, PATIENCE)
-    assert made[0].is_over, "whoever opens it next finds it free"
+    assert made[0].is_over, "the next program finds it free"
 
 
 async def test_a_file_is_no_serial_port(tmp_path: Path) -> None:

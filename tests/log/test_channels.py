@@ -84,7 +84,7 @@ FIRMWARE = profile("1.0")
 OBTAIN = b"\x01\x00\x01"
 
 
-def test_an_answer_is_told_by_what_was_asked_and_by_whom() -> None:
+def test_an_answer_is_known_by_its_question_and_its_asker() -> None:
     witness = FrameInterpreter(0.0)
     [(topic, asked)] = witness.sent(encode_frame(OBTAIN, session=2, sequence=9), None, FIRMWARE)
     assert topic == COMMAND
@@ -110,7 +110,7 @@ def test_what_is_encrypted_is_read_with_the_key_and_passed_over_without() -> Non
     assert told["command"] == "request_authority"
 
 
-def test_what_no_document_knows_is_told_with_its_address() -> None:
+def test_what_no_document_knows_is_reported_with_its_address() -> None:
     [(_, told)] = FrameInterpreter(0.0).sent(
         encode_frame(b"\x77\x01\x05", session=0, sequence=1), None, FIRMWARE
     )
@@ -119,7 +119,7 @@ def test_what_no_document_knows_is_told_with_its_address() -> None:
 
 
 def seen(witness: FrameInterpreter, *packages: dict[str, Any]) -> list[tuple[str, Any]]:
-    """What is told of packages of the known aircraft, 10 ms after each other."""
+    """The records of packages of the known aircraft, 10 ms after each other."""
     return [
         one
         for place, options in enumerate(packages)

@@ -1,4 +1,4 @@
-"""What is missing from a log is counted and told, by what it is and not by what it may be."""
+"""Losses in a log are counted and reported, by what they are and not by what they may be."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def holed(path: Path, number: int, *, begin: int = 60, size: int = 1) -> Path:
     return bad
 
 
-def test_a_flipped_bit_is_told_with_what_it_cost(
+def test_a_flipped_bit_is_reported_with_what_it_cost(
     flight: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     every = list(read(flight).messages())
@@ -72,7 +72,7 @@ def test_the_last_part_of_an_ended_file_is_missed_by_what_its_end_counts(
     assert log.damage.is_ended
 
 
-def test_a_hole_is_never_told_as_a_process_that_was_killed(flight: Path) -> None:
+def test_a_hole_is_never_reported_as_a_process_that_was_killed(flight: Path) -> None:
     whole = flight.read_bytes()
     tail = flight.with_name("tail.mcap")
     half = parts(whole)[len(parts(whole)) // 2][0] + 30
@@ -129,7 +129,7 @@ def test_a_bad_sector_of_a_mended_file_costs_half_a_second(flight: Path) -> None
         assert log.summary().began_utc is not None
 
 
-def test_what_a_mended_file_lacks_is_told_by_it(flight: Path) -> None:
+def test_what_a_mended_file_lacks_is_written_in_it(flight: Path) -> None:
     mended = flight.with_name("mended.mcap")
     bad = read(holed(flight, 5))
     recover(bad.path, mended)

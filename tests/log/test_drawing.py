@@ -40,7 +40,7 @@ def test_a_scale_holds_every_value_and_has_a_height_without_any() -> None:
     assert low < -3.0 < 7.0 < high
 
 
-def test_what_was_never_heard_is_not_told() -> None:
+def test_what_was_never_heard_is_not_reported() -> None:
     assert [name for name, _ in facts(FlightSummary("empty.mcap"))] == [
         "Recorded",
         "Repeats",

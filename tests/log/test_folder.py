@@ -21,7 +21,7 @@ pytestmark = pytest.mark.anyio
 
 
 class Told:
-    """What people are told."""
+    """The reports to people."""
 
     def __init__(self) -> None:
         self.all: list[tuple[str, str]] = []
@@ -141,7 +141,7 @@ async def test_an_attempt_that_found_no_aircraft_leaves_nothing(tmp_path: Path) 
     assert files_in(tmp_path) == []
 
 
-async def test_what_cannot_be_recorded_is_told_once_and_flown(
+async def test_what_cannot_be_recorded_is_reported_once_and_flown(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     told = Told()

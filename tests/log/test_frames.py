@@ -1,4 +1,4 @@
-"""Every frame of a log is told, decrypted when there is a key, and what was lost."""
+"""Every frame of a log is listed, decrypted when there is a key, and what was lost."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tests.log.flight import KEY, URL, fly
 pytestmark = pytest.mark.anyio
 
 
-async def test_the_frames_are_those_that_the_recorder_told(tmp_path: Path) -> None:
+async def test_the_frames_are_those_that_the_recorder_wrote(tmp_path: Path) -> None:
     await fly(tmp_path / "flight.mcap")
     flight = read(tmp_path / "flight.mcap")
     told = [one.content() for one in flight.messages("/m100/command")]
@@ -33,7 +33,7 @@ async def test_the_frames_are_those_that_the_recorder_told(tmp_path: Path) -> No
     assert [one["at"] for one in frames] == sorted(one["at"] for one in frames)
 
 
-async def test_without_the_key_what_was_encrypted_is_told_as_it_travelled(tmp_path: Path) -> None:
+async def test_without_the_key_what_was_encrypted_is_shown_as_it_travelled(tmp_path: Path) -> None:
     await fly(tmp_path / "flight.mcap")
     frames = list(read_frames(read(tmp_path / "flight.mcap")))
     sealed = [one for one in frames if one["encrypted"]]
@@ -41,7 +41,7 @@ async def test_without_the_key_what_was_encrypted_is_told_as_it_travelled(tmp_pa
     assert all(one["command"] is None and one["frame_crc"] for one in sealed)
 
 
-async def test_what_was_damaged_is_told_where_it_was(tmp_path: Path) -> None:
+async def test_what_was_damaged_is_reported_where_it_was(tmp_path: Path) -> None:
     await fly(tmp_path / "flight.mcap", f"{URL}&damage=0.05")
     frames = list(read_frames(read(tmp_path / "flight.mcap"), cipher=Cipher(KEY)))
     lost = [one for one in frames if "cause" in one]

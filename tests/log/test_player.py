@@ -168,7 +168,7 @@ async def test_it_is_moved_and_its_clock_goes_on(
     assert player.position_s == pytest.approx(1.0)
 
 
-async def test_whoever_raises_does_not_end_it(player: Player) -> None:
+async def test_a_listener_that_raises_does_not_end_it(player: Player) -> None:
     heard = Heard(player)
     errors: list[object] = []
     asyncio.get_running_loop().set_exception_handler(lambda _, told: errors.append(told))

@@ -128,4 +128,4 @@ def test_sticks_are_axes() -> None:
         MADE.joy(STAMP, RemoteControl(10000, -5000, 0, 2500, 8000, None)), "sensor_msgs/msg/Joy"
     )
     assert list(found.axes) == [1.0, -0.5, 0.0, 0.25]
-    assert list(found.buttons) == [8000]  # the gear is not told
+    assert list(found.buttons) == [8000]  # the gear is not in it

@@ -71,7 +71,7 @@ ALARMS = {
 
 
 @pytest.mark.parametrize("name", ALARMS)
-async def test_each_alarm_is_told_with_its_cause(
+async def test_each_alarm_is_reported_with_its_cause(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     orders, text = ALARMS[name]

@@ -98,7 +98,7 @@ def test_who_had_control_and_how_it_was_lost(tmp_path: Path) -> None:
     ]
 
 
-def test_the_line_is_told_by_differences(tmp_path: Path) -> None:
+def test_the_line_is_reported_by_differences(tmp_path: Path) -> None:
     def counted(at: float, lost: int, acks: int, total_s: float) -> Any:
         trips = {"total_s": total_s}
         counters = {"discarded_bytes": lost, "acks": acks, "repeats": 3, "round_trips": trips}

@@ -119,7 +119,7 @@ def test_the_speed_is_limited_by_max_speed_which_may_be_more() -> None:
     assert plan(speed=12, max_speed=12).speed == 12
 
 
-def test_a_heading_from_0_to_360_is_told_in_the_plans_way() -> None:
+def test_a_heading_from_0_to_360_is_reported_in_the_plans_way() -> None:
     assert "-90° is the same direction" in problem(point={"heading_deg": 270}).remedy
     assert problem(point={"actions": [TurnTo(270)]}).field == "actions[0].heading_deg"
 
@@ -241,7 +241,7 @@ def test_corners_do_not_overlap() -> None:
     assert [error.point for error in caught.value.problems] == [1, 1]
 
 
-def test_everything_that_is_wrong_is_told_and_the_first_is_raised() -> None:
+def test_everything_that_is_wrong_is_reported_and_the_first_is_raised() -> None:
     with pytest.raises(UsageError) as caught:
         WaypointPlan([at(0, height=math.nan), at(0, heading_deg=500)], speed=99, repeat=7)
     error = caught.value

@@ -50,7 +50,7 @@ def test_complex_items_that_were_not_laid_out_are_refused_by_name(
     assert f"item 2 is a {name!r} without items of its own" in error.seen
     assert error.remedy
     read = WaypointPlan.from_qgroundcontrol(json.dumps(found), leave_out=[name])
-    assert len(read.waypoints) == 2  # only whoever names it goes without it
+    assert len(read.waypoints) == 2  # only a caller that names it goes without it
 
 
 @pytest.mark.parametrize(

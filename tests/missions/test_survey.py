@@ -133,7 +133,7 @@ def test_what_is_not_a_survey_is_refused(
         survey(corners, **wanted)
 
 
-def test_what_the_aircraft_would_refuse_is_told_as_of_every_plan() -> None:
+def test_what_the_aircraft_would_refuse_is_reported_as_of_every_plan() -> None:
     with pytest.raises(BadPlan, match="99"):
         survey(area(), height=30, spacing=2.5, photo_every=5)
     with pytest.raises(BadPlan, match="height"):

@@ -97,7 +97,7 @@ def test_a_track_cannot_be_divided_into_nothing(every: float) -> None:
 
 
 @pytest.mark.parametrize("track", [[(0, 0), (1, 1)], [(0, 0, "x")], [5], 5])
-def test_a_track_of_something_else_is_told(track: Any) -> None:
+def test_a_track_of_something_else_is_reported(track: Any) -> None:
     with pytest.raises(UsageError, match=r"track is ") as caught:
         Waypoint.along(track, frame=LocalFrame(0, 0))
     assert "height" in caught.value.remedy

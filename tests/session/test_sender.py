@@ -438,7 +438,7 @@ def test_a_payload_that_does_not_fit_takes_neither_session_nor_number() -> None:
 
 @pytest.mark.parametrize("cipher", [None, Cipher(KEY)])
 def test_it_is_refused_although_it_would_have_to_wait(cipher: Cipher | None) -> None:
-    """Later nobody could be told: the request would never have ended."""
+    """Later nobody could hear it: the request would never have ended."""
     sender = Sender()
     sender.cipher = cipher
     for _ in range(30):

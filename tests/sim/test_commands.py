@@ -320,7 +320,7 @@ def _fields(each: WaypointPoint) -> dict[str, Any]:
     return each.raw()
 
 
-def test_idle_speed_is_told_and_changed_on_the_way() -> None:
+def test_idle_speed_is_reported_and_changed_in_flight() -> None:
     program = host()
     assert program.ask(WaypointGetIdleSpeed()) == IdleSpeedAnswer(MissionCode.NO_MISSION, 0.0)
     assert program.ask(WaypointSetIdleSpeed(3.0)).code == MissionCode.NO_MISSION

@@ -72,7 +72,7 @@ def publish(place: str, first: int, count: int, seconds: float) -> None:
         began, cpu = time.monotonic(), time.process_time()
         while (passed := time.monotonic() - began) < seconds:
             for which, (outlets, rate, payload) in enumerate(streams):
-                # What is told in full waits for nothing.
+                # A full message waits for nothing.
                 until = passed if outlets is full else passed - passed % MOMENT_S
                 while done[which] < rate * until:
                     outlets[done[which] % len(outlets)].put(payload)

@@ -37,7 +37,7 @@ MOST_US = 30.0
 
 LEAST_RECEIVED = 0.999
 SETTLE_S = 5.0
-"""Seconds in which agents that have just come are told to each other."""
+"""Seconds in which agents that have just come are reported to each other."""
 
 _LOOK_S = 10.0
 _HERTZ = os.sysconf("SC_CLK_TCK")
@@ -57,7 +57,7 @@ def level_of(pid: int) -> Level:
 
 
 class _End:
-    """A process that is told what to do and tells what it saw."""
+    """A process that gets orders and reports what it saw."""
 
     def __init__(self, stack: ExitStack, *words: str) -> None:
         self.process = subprocess.Popen(

@@ -40,7 +40,7 @@ SITE = "thousand"
 LOOKED_AT = "a0"
 FULL_HZ = 50.0
 _SLICE_S = 0.005
-"""Packages that are due are told in slices of so many seconds: as one turn of a busy loop does."""
+"""Packages that are due are sent in slices of so many seconds: as one turn of a busy loop does."""
 
 
 @dataclass(slots=True)
@@ -150,7 +150,7 @@ class _Agents:
     Attributes:
         clients: Of each, by name.
         told: Those whose aircraft is recorded.
-        packages: What they are told.
+        packages: What they receive.
     """
 
     packages: list[Telemetry]

@@ -53,7 +53,7 @@ def test_a_dozen_aircraft_are_heard_and_counted() -> None:
         ({"levels": {"router": [Level(0, 9_000 * n, 0, 9) for n in range(6)]}}, "router: memory"),
     ],
 )
-def test_what_is_not_as_it_is_to_be_is_told(change: dict[str, Any], told: str) -> None:
+def test_what_is_not_as_it_is_to_be_is_reported(change: dict[str, Any], told: str) -> None:
     assert GOOD.faults() == []
     [fault] = replace(GOOD, **change).faults()
     assert told in fault

@@ -34,7 +34,7 @@ def test_an_aircraft_answers_and_closes(connect: Connect) -> None:
         aircraft.version()
 
 
-def test_a_port_that_is_not_there_is_told_and_leaves_no_thread(connect: Connect) -> None:
+def test_a_port_that_is_not_there_is_reported_and_leaves_no_thread(connect: Connect) -> None:
     before = threading.active_count()
     with pytest.raises(PortNotFound):
         sync.connect("/dev/does-not-exist")

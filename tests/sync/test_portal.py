@@ -106,7 +106,7 @@ def test_after_the_end_every_door_says_so(portal: Portal) -> None:
 
 
 @pytest.mark.parametrize("round_", range(30))
-def test_whoever_waits_while_another_thread_closes_is_told(round_: int) -> None:
+def test_a_waiting_thread_gets_an_error_when_another_closes(round_: int) -> None:
     opened = Portal()
     ended: list[M100Error] = []
 

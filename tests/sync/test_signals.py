@@ -12,7 +12,7 @@ from m100link.sync.signals import SyncSignals
 
 
 class Block:
-    """A control block whose stop path is told when it ends."""
+    """A control block whose stop path hears when it ends."""
 
     def __init__(self) -> None:
         self.is_flying = True

@@ -34,7 +34,7 @@ def connect(there: ForeignAircraft) -> m100link.sync.Aircraft:
 
 @pty
 @pytest.mark.smoke
-def test_it_is_flown_in_a_with_block_and_told_of_in_a_loop() -> None:
+def test_it_is_flown_in_a_with_block_and_reported_in_a_loop() -> None:
     with foreign_aircraft("3.1") as there, connect(there) as aircraft:
         uploading: list[Uploading] = []
         with aircraft.control() as control:

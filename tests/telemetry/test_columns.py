@@ -135,7 +135,7 @@ async def test_the_rate_thins_the_rows() -> None:
         assert len(table) == 20
 
 
-async def test_nothing_received_is_told_and_not_an_empty_table() -> None:
+async def test_nothing_received_is_reported_and_not_an_empty_table() -> None:
     async with rig() as r:
         with pytest.raises(TelemetryStalled, match="within 2 s") as caught:
             await r.aircraft.collect(Magnetometer, seconds=2.0)  # 0 Hz by default
@@ -166,7 +166,7 @@ async def test_what_arrives_after_the_end_is_not_in_the_table() -> None:
     assert table.column("received_at") == [now, now + 0.99]
 
 
-async def test_a_program_that_was_blocked_for_too_long_is_told() -> None:
+async def test_a_program_that_was_blocked_for_too_long_gets_an_error() -> None:
     hub: Hub[Sample] = Hub()
     samples = hub.subscribe(Lossless(1))
     for at in (0.0, 0.1):

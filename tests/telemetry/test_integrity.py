@@ -22,7 +22,7 @@ S = IntegrityState
 
 @dataclass
 class Flight:
-    """An aircraft as a source of packages; whatever is set is told from the next one on.
+    """An aircraft as a source of packages; whatever is set is sent from the next one on.
 
     Attributes:
         bearing: Which way it flies, and says that it does, rad clockwise from north. By default
@@ -190,7 +190,7 @@ def test_a_velocity_that_the_aircraft_does_not_vouch_for_says_nothing() -> None:
 
 
 def test_a_velocity_of_more_than_a_second_ago_says_nothing() -> None:
-    """It flew 9 m/s when its velocity was told last, and hovers by now."""
+    """It flew 9 m/s when its velocity came last, and hovers by now."""
     flight = Flight(speed=9.0)
     flight.fly(5.0)
     flight.has_velocity = False

@@ -1,4 +1,4 @@
-"""From which values on something is told."""
+"""The values from which on something is reported."""
 
 from __future__ import annotations
 

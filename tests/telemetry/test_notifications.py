@@ -1,4 +1,4 @@
-"""What the aircraft says by itself reaches whoever wants it, whatever it looks like."""
+"""Notifications of the aircraft reach their subscribers, whatever they look like."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def anyio_backend() -> object:
 
 
 class Program:
-    """The program's end of a line, and what it was told."""
+    """The program's end of a line, and what it heard."""
 
     def __init__(self) -> None:
         self.losses: list[AuthorityChanged] = []

@@ -179,7 +179,7 @@ async def test_close_ends_the_iteration_also_of_a_task_that_waits() -> None:
     assert await task == []
 
 
-async def test_two_tasks_on_one_subscription_are_a_mistake_that_is_told() -> None:
+async def test_two_tasks_on_one_subscription_are_a_mistake_that_is_reported() -> None:
     hub: Hub[int] = Hub()
     subscription = hub.subscribe(Latest())
     first = asyncio.ensure_future(anext(subscription))
@@ -543,7 +543,7 @@ async def test_a_predicate_that_fails_fails_its_caller_only() -> None:
 # -- layouts --------------------------------------------------------------------------------------
 
 
-async def test_packages_that_do_not_fit_are_refused_counted_and_told_once(
+async def test_packages_that_do_not_fit_are_refused_counted_and_reported_once(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     """A 3.1 aircraft read as 1.0: every package has bytes that 1.0 does not know."""

@@ -1,4 +1,4 @@
-"""Tasks of one owner: what is told of their end, and their end with the owner."""
+"""Tasks of one owner: the report of their end, and their end with the owner."""
 
 from __future__ import annotations
 
@@ -72,7 +72,9 @@ async def test_what_begins_is_waited_for_until_then() -> None:
     assert (await background.begin(lambda _: asyncio.sleep(0, "done"), "flight")).result() == "done"
 
 
-async def test_whoever_waits_no_more_for_a_beginning_ends_nothing_and_leaves_nothing() -> None:
+async def test_a_caller_that_waits_no_more_for_a_beginning_ends_nothing_and_leaves_nothing() -> (
+    None
+):
     background, landed = TaskSet(), asyncio.Event()
 
     async def land(begun: asyncio.Event) -> None:

@@ -1,4 +1,4 @@
-"""Errors on their way are what the agent met; events are numbered, bounded and told."""
+"""Errors of the channel are those that the agent met; events are numbered, bounded, sent."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_a_class_that_is_not_known_becomes_the_base_that_is() -> None:
 
 
 def test_details_of_a_stranger_leave_an_error_what_it_is() -> None:
-    """Whoever shows it reads its words, and the attributes of its class."""
+    """A front that shows it reads its words, and the attributes of its class."""
     told = {"seen": 5, "remedy": None, "error_code": 7, "args": 1, "manual": "x", "guard": "gps"}
     error = RemoteError("GuardRefused", "seen", "cause", "remedy", told).error()
     assert isinstance(error, GuardRefused)
@@ -88,7 +88,7 @@ def test_no_detail_that_a_stranger_names_raises_where_it_is_read() -> None:
 # -- the journal ----------------------------------------------------------------------------------
 
 
-def test_events_are_numbered_told_and_bounded() -> None:
+def test_events_are_numbered_reported_and_bounded() -> None:
     now = 0.0
     journal = Journal(lambda: now)
     told: list[Event] = []

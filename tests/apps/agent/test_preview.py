@@ -1,4 +1,4 @@
-"""What a front is told of a guided order before it gives it."""
+"""What a front hears of a guided order before it gives it."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ async def test_each_order_has_its_distance_time_and_battery(rig: Rig) -> None:
         (GuardLimits(max_speed_m_s=3.0), "envelope"),
     ],
 )
-async def test_the_limits_are_those_that_are_told(
+async def test_the_limits_are_those_that_are_reported(
     rig: Rig, limits: GuardLimits, guard: str
 ) -> None:
     state, frame = await hovering(rig)

@@ -51,7 +51,7 @@ def test_what_comes_before_the_end_is_open_waits_in_order(as_bytes: bool) -> Non
     assert got == [A, B]
 
 
-def test_closing_is_told_once_and_ends_both_ways() -> None:
+def test_closing_is_reported_once_and_ends_both_directions() -> None:
     one, other = memory_channels()
     got: list[Message] = []
     reasons: list[str] = []
@@ -166,11 +166,11 @@ async def test_what_is_not_a_message_ends_the_connection(data: bytes) -> None:
                 while await loop.sock_recv(raw, 1000):
                     pass
         assert agent.inbox == []
-        assert len(agent.reasons) == 1, "whoever listens has to know that the other end is gone"
+        assert len(agent.reasons) == 1, "a listener has to know that the other end is gone"
         assert "message" in agent.reasons[0]
 
 
-async def test_the_reason_of_a_close_is_told() -> None:
+async def test_the_reason_of_a_close_is_reported() -> None:
     async with served() as (path, agent):
         front = End()
         front.listen(await connect_unix(path))
@@ -221,7 +221,7 @@ async def test_an_end_that_does_not_read_loses_telemetry_and_then_the_connection
         front.close()
 
 
-async def test_a_front_without_an_agent_is_told(tmp_path: Path) -> None:
+async def test_a_front_without_an_agent_is_reported(tmp_path: Path) -> None:
     with pytest.raises(PortNotFound):
         await connect_unix(tmp_path / "none.sock")
     with pytest.raises(PortFailed):

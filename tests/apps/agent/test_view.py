@@ -264,7 +264,7 @@ async def test_an_agent_that_hangs_is_believed_for_two_seconds() -> None:
         await anyio.sleep(0.2)
         assert client.view.hearing is Hearing.SILENT
         assert (client.has_authority, client.is_connected) == (False, False)
-        assert client.view.get(Battery) is None, "it is young enough, and nobody told it"
+        assert client.view.get(Battery) is None, "it is young enough, and nobody sent it"
 
 
 def place_of(client: AgentClient) -> Position | None:

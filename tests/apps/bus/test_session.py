@@ -155,7 +155,7 @@ async def test_what_is_too_long_is_not_taken(
         ("peer", "no session of zenoh", "look at the port"),
     ],
 )
-async def test_what_cannot_be_opened_is_told_in_the_words_of_who_needs_it(
+async def test_what_cannot_be_opened_is_reported_in_the_words_of_its_user(
     mode: str, told: str, done: str
 ) -> None:
     place = [free_place()]
@@ -174,7 +174,7 @@ async def test_what_cannot_be_opened_is_told_in_the_words_of_who_needs_it(
 
 @pytest.mark.pty
 @pytest.mark.parametrize("way", ["waits", "raises"])
-async def test_whoever_leaves_hears_why_and_not_of_a_session_that_does_not_close(
+async def test_a_program_that_leaves_hears_why_and_not_of_a_session_that_does_not_close(
     monkeypatch: pytest.MonkeyPatch, way: str
 ) -> None:
     """Of a router that is cut off zenoh's close waits for ten seconds, and then raises."""
@@ -259,7 +259,7 @@ async def opened_after(
         (1.2, {"is_patient": True, "patience_s": 5.0, "mode": "peer"}, "refused", 0.0, 0.0, 0),
     ],
 )
-def test_a_client_tries_again_for_as_long_as_it_was_told(
+def test_a_client_tries_again_for_as_long_as_its_settings_say(
     monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,
     router_s: float,

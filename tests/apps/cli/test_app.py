@@ -203,7 +203,7 @@ def test_a_log_level_that_does_not_exist(cli: CommandLine, monkeypatch: pytest.M
     ],
     ids=lambda words: " ".join(words),
 )
-def test_an_option_is_known_by_its_former_name_and_told_by_todays(
+def test_an_option_is_known_by_its_former_name_and_shown_by_todays(
     cli: CommandLine, former: tuple[str, ...], today: tuple[str, ...]
 ) -> None:
     assert cli(*former) == cli(*today)
@@ -293,7 +293,7 @@ def test_what_no_aircraft_is_needed_to_refuse_is_refused_before_a_port_is_opened
 
 
 @pytest.mark.parametrize("verb", ["takeoff", "land", "home", "release", "activate"])
-def test_a_missing_app_is_told_before_a_port_is_opened(cli: CommandLine, verb: str) -> None:
+def test_a_missing_app_is_reported_before_a_port_is_opened(cli: CommandLine, verb: str) -> None:
     outcome = cli(verb, "/dev/no-such-port")
     assert outcome.status == ExitCode.USAGE
     assert "no app id was given" in outcome.err

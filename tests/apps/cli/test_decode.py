@@ -234,7 +234,9 @@ def test_ways_in_which_people_write_hex(cli: CommandLine, form: str) -> None:
 
 
 @pytest.mark.parametrize("text", ["zz", "aa0", "hello world", "0xgg"])
-def test_what_is_not_hex_is_told_and_does_not_stop_the_rest(cli: CommandLine, text: str) -> None:
+def test_what_is_not_hex_is_reported_and_does_not_stop_the_rest(
+    cli: CommandLine, text: str
+) -> None:
     outcome = cli("decode", text, FRAMES[0]["frame"])
     assert outcome.status == 2
     assert "this is not hex" in outcome.err
@@ -245,7 +247,7 @@ def test_what_is_not_hex_is_told_and_does_not_stop_the_rest(cli: CommandLine, te
 
 
 @pytest.mark.parametrize("key", ["00", "0" * 63, "0" * 65, "g" * 64])
-def test_a_key_that_is_none_is_told_without_being_repeated(cli: CommandLine, key: str) -> None:
+def test_a_key_that_is_none_is_reported_without_being_repeated(cli: CommandLine, key: str) -> None:
     outcome = cli("decode", "--key", key, FRAMES[0]["frame"])
     assert outcome.status == 2
     assert outcome.out == ""

@@ -87,7 +87,7 @@ def test_a_row_has_the_fields_and_their_views_in_the_units_of_the_api() -> None:
     assert values["position.gps_health"] == 5
 
 
-def test_an_enumeration_is_told_by_its_name_and_an_unknown_value_by_none() -> None:
+def test_an_enumeration_is_shown_by_its_name_and_an_unknown_value_by_none() -> None:
     assert row(RemoteControl(0, 0, 0, 0, 8000, -4545))["rc.mode_switch"] == "F"
     assert row(FlightStatus(3))["flight_status.phase"] == "IN_AIR"
     assert row(FlightStatus(77))["flight_status.phase"] is None
@@ -139,12 +139,12 @@ def shown(flight: Path, monkeypatch: pytest.MonkeyPatch, *, terminal: bool) -> t
     return count, stream.getvalue()
 
 
-def test_a_pipe_is_told_nothing(flight: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_pipe_hears_nothing(flight: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(progress, "_PATIENCE_S", 0.0)
     assert shown(flight, monkeypatch, terminal=False)[1] == ""
 
 
-def test_a_terminal_is_told_after_a_second(flight: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_terminal_shows_it_after_a_second(flight: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert shown(flight, monkeypatch, terminal=True)[1] == ""
     monkeypatch.setattr(progress, "_PATIENCE_S", 0.0)
     count, told = shown(flight, monkeypatch, terminal=True)

@@ -52,7 +52,7 @@ def crossing(tmp_path: Path) -> str:
     return str(path)
 
 
-def test_a_sound_show_is_told_in_numbers(cli: CommandLine) -> None:
+def test_a_sound_show_is_reported_in_numbers(cli: CommandLine) -> None:
     outcome = cli("fleet", "show", "check", FILE)
     assert outcome.status == ExitCode.OK
     [told] = outcome.objects
@@ -62,7 +62,7 @@ def test_a_sound_show_is_told_in_numbers(cli: CommandLine) -> None:
     assert all(len(digest) == 64 for digest in told["tracks"].values())
 
 
-def test_a_sound_show_is_told_in_words(cli: CommandLine) -> None:
+def test_a_sound_show_is_reported_in_words(cli: CommandLine) -> None:
     first, second, *rest = cli("fleet", "show", "check", FILE, "--table").out.splitlines()
     assert first == "✓ 5 aircraft, 36 s"
     assert "10.00 m at 36.00 s" in second
@@ -87,7 +87,7 @@ def test_the_envelope_of_the_agents_counts(cli: CommandLine) -> None:
     assert "the envelope ends at 20 m" in outcome.objects[0]["problems"][0]["seen"]
 
 
-def test_what_is_no_show_is_told(cli: CommandLine, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_no_show_is_reported(cli: CommandLine, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(b"{}")))
     outcome = cli("fleet", "show", "check", "-")
     assert outcome.status == ExitCode.USAGE
@@ -119,7 +119,7 @@ def test_a_picture_goes_to_the_terminal_or_to_a_pipe(cli: CommandLine, crossing:
     assert "✗ a2 and a3 come as near as" in outcome.err
 
 
-def test_a_picture_that_cannot_be_written_is_told(cli: CommandLine) -> None:
+def test_a_picture_that_cannot_be_written_is_reported(cli: CommandLine) -> None:
     outcome = cli("fleet", "show", "preview", FILE, "/dev/full", "--force")
     assert outcome.status == ExitCode.USAGE
     assert "cannot be written" in outcome.err
@@ -221,7 +221,9 @@ def test_steps_go_under_the_lease_that_another_shell_holds(
 
 @needs_zenoh
 @pytest.mark.pty
-def test_mistakes_are_told_before_anything_flies(site: Site, plan: Path, tmp_path: Path) -> None:
+def test_mistakes_are_reported_before_anything_flies(
+    site: Site, plan: Path, tmp_path: Path
+) -> None:
     assert site.ask("mission", "fly", "a1", str(tmp_path / "none.json"), "--yes")[0] == 2
     assert site.ask("mission", "fly", "a7", str(plan), "--yes")[0] == 1
     assert site.ask("mission", "progress", "a7")[0] == 1
@@ -327,7 +329,7 @@ def test_a_show_is_flown_and_who_is_not_there_is_named(show_site: Site, tmp_path
     assert (status, [one["stage"] for one in told]) == (ExitCode.OK, ["flown", "flown"])
     assert (
         show_site.ask("land", "--all")[0] == ExitCode.OK
-    )  # whoever lands still is in no other show
+    )  # an aircraft that lands still is in no other show
     status, told = show_site.ask("show", "fly", show(tmp_path, ("a1", "a2", "a3")), "--yes")
     assert (status, told) == (ExitCode.FAILED, [])
 

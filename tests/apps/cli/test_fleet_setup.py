@@ -205,7 +205,7 @@ def test_each_may_do_what_the_file_says_and_nobody_comes_without_a_certificate(
     for who in ("anna", "bert", "wall"):
         status, [card] = secured_site.ask("list", "--identity", who)
         assert (status, card["name"]) == (ExitCode.OK, "a1")
-        assert "connection" in card, f"{who} is told where it stands"
+        assert "connection" in card, f"{who} hears where it stands"
         status, [log] = secured_site.ask("log", "list", "a1", "--identity", who)
         assert (status, log["name"]) == (ExitCode.OK, "a1")
         status, [mission] = secured_site.ask("mission", "progress", "a1", "--identity", who)
@@ -234,7 +234,7 @@ def test_who_lost_a_laptop_steers_no_more_and_after_a_start_of_the_router_hears_
     assert held.stdout.readline()
     revoke(tmp_path / "pki", ["anna"], now=datetime.now(UTC))
     assert secured_site.ask("stop", "a1", "--identity", "anna")[0] == ExitCode.OK, (
-        "nobody was told yet"
+        "nobody heard it yet"
     )
     status, [told] = secured_site.ask("pki", "push", "--all", "--identity", "bert")
     assert (status, told["outcome"]) == (ExitCode.OK, "ok")
@@ -309,7 +309,7 @@ def test_each_connection_leaves_a_log_that_is_whole(site: Site, tmp_path: Path) 
 @needs_zenoh
 @pytest.mark.pty
 @pytest.mark.parametrize("is_json", [False, True])
-def test_what_happens_is_told_once_and_on_one_line(
+def test_what_happens_is_reported_once_and_on_one_line(
     site: Site, tmp_path: Path, is_json: bool
 ) -> None:
     words = ["agent", "sim://", "--name", "a1", *(["--log-json"] if is_json else [])]

@@ -98,7 +98,7 @@ def test_logs_are_listed_and_fetched_and_one_that_is_written_is_said(
     assert fetched(site, tmp_path / "here")["came"] == 0
 
 
-def test_mistakes_are_told_with_what_to_do(site: Site, board: Path, tmp_path: Path) -> None:
+def test_mistakes_are_reported_with_what_to_do(site: Site, board: Path, tmp_path: Path) -> None:
     agent(site)
     status, [told] = site.ask("log", "fetch", "a1", "--file", "../a2/x", "--to", str(tmp_path))
     assert (status, told["outcome"]) == (1, "refused")
@@ -124,7 +124,7 @@ def test_ctrl_c_ends_it_at_once_and_the_next_one_goes_on(
     assert (tmp_path / f"a1-{OLD}").read_bytes() == (board / OLD).read_bytes()
 
 
-def test_whoever_is_killed_meanwhile_the_next_one_goes_on(
+def test_whichever_is_killed_meanwhile_the_next_one_goes_on(
     site: Site, board: Path, tmp_path: Path
 ) -> None:
     on_board = agent(site, "--log-rate", "0.2")

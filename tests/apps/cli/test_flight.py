@@ -83,7 +83,7 @@ def test_a_url_of_the_simulator_needs_no_credentials() -> None:
         ((), "0 numbers were given"),
     ],
 )
-def test_metres_that_are_none_are_told_before_anything_else(
+def test_metres_that_are_none_are_reported_before_anything_else(
     cli: CommandLine, words: tuple[str, ...], seen: str
 ) -> None:
     outcome = cli("fly", *words)
@@ -123,7 +123,7 @@ def test_the_gimbal_is_pointed_and_shown(
 
 @pytest.mark.parametrize("action", ["photo", "start-video", "stop-video"])
 @pytest.mark.parametrize("place", ["argument", "option", "environment"])
-def test_the_camera_is_told_and_nobody_confirms(
+def test_the_camera_is_ordered_and_nobody_confirms(
     cli: CommandLine, monkeypatch: pytest.MonkeyPatch, action: str, place: str
 ) -> None:
     words = {"argument": (SIM, action), "option": ("--url", SIM, action), "environment": (action,)}

@@ -36,7 +36,7 @@ def flight(cli: CommandLine, tmp_path: Path) -> Path:
     return path
 
 
-def test_a_log_is_recorded_and_told(cli: CommandLine, flight: Path) -> None:
+def test_a_log_is_recorded_and_reported(cli: CommandLine, flight: Path) -> None:
     outcome = cli("log", "info", str(flight), "--json")
     [told] = outcome.objects
     assert told["is_whole"] is True
@@ -71,7 +71,7 @@ def test_what_happened_is_a_line_each(cli: CommandLine, flight: Path) -> None:
     assert told[-1]["event"] == "connection"
 
 
-def test_what_was_cut_off_is_told_and_mended(cli: CommandLine, flight: Path) -> None:
+def test_what_was_cut_off_is_reported_and_mended(cli: CommandLine, flight: Path) -> None:
     cut = flight.with_name("cut.mcap")
     cut.write_bytes(flight.read_bytes()[:-400])
     assert "log recover" in "".join(cli("log", "info", str(cut)).out.split("\n"))
@@ -82,7 +82,7 @@ def test_what_was_cut_off_is_told_and_mended(cli: CommandLine, flight: Path) -> 
     assert again.status == ExitCode.USAGE
 
 
-def test_a_cable_that_is_pulled_ends_the_recording_and_is_told(
+def test_a_cable_that_is_pulled_ends_the_recording_and_is_reported(
     cli: CommandLine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async def wait_closed(_: Aircraft) -> LinkError:
@@ -97,7 +97,7 @@ def test_a_cable_that_is_pulled_ends_the_recording_and_is_told(
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
-def test_whoever_ends_the_recording_gets_a_whole_file(tmp_path: Path, number: int) -> None:
+def test_every_end_of_the_recording_leaves_a_whole_file(tmp_path: Path, number: int) -> None:
     path = tmp_path / "flight.mcap"
     process = subprocess.Popen(
         [sys.executable, "-m", "m100link", "record", "sim://", "-o", str(path)],
@@ -114,7 +114,7 @@ def test_whoever_ends_the_recording_gets_a_whole_file(tmp_path: Path, number: in
     assert read(path).summary().is_whole
 
 
-def test_typing_errors_are_told(cli: CommandLine, flight: Path, tmp_path: Path) -> None:
+def test_typing_errors_are_reported(cli: CommandLine, flight: Path, tmp_path: Path) -> None:
     for words, why in (
         (("log", "info", str(tmp_path / "none.mcap")), "No such file"),
         (("log", "csv", str(flight), "positon"), "position"),
@@ -245,7 +245,7 @@ def break_off(target: Path, error: BaseException) -> None:
         raise error
 
 
-def test_what_cannot_be_is_told_and_nothing_is_written(
+def test_what_cannot_be_is_reported_and_nothing_is_written(
     cli: CommandLine, flight: Path, tmp_path: Path
 ) -> None:
     there = tmp_path / "there.html"

@@ -73,7 +73,7 @@ def begin(*arguments: str) -> subprocess.Popen[str]:
     raise AssertionError(running.communicate()[1])
 
 
-def test_a_plan_is_flown_and_told_as_json(later: Simulator, app: list[str], short: str) -> None:
+def test_a_plan_is_flown_and_reported_as_json(later: Simulator, app: list[str], short: str) -> None:
     outcome = process("mission", "fly", short, later.port, "--take-off", "--yes", *app)
     assert outcome.status == 0, outcome
     steps = [told["event"] for told in outcome.objects if told["event"] != "mission_progress"]

@@ -48,7 +48,7 @@ def file(tmp_path: Path) -> str:
 # -- check ----------------------------------------------------------------------------------------
 
 
-def test_a_sound_plan_is_told_in_numbers(cli: CommandLine, file: str) -> None:
+def test_a_sound_plan_is_reported_in_numbers(cli: CommandLine, file: str) -> None:
     outcome = cli("plan", "check", file)
     assert outcome.status == ExitCode.OK
     [told] = outcome.objects
@@ -62,7 +62,7 @@ def test_a_sound_plan_is_told_in_numbers(cli: CommandLine, file: str) -> None:
     assert more["farthest_m"] > 1e6
 
 
-def test_a_sound_plan_is_told_in_words(cli: CommandLine, file: str) -> None:
+def test_a_sound_plan_is_reported_in_words(cli: CommandLine, file: str) -> None:
     replace(PLAN, on_rc_loss=OnRCLoss.CONTINUE).write(file)
     first, second, third = cli("plan", "check", file, "--table").out.splitlines()
     assert first == "! without the RC it flies on, and no pilot can stop it"
@@ -76,7 +76,7 @@ def broken(path: str) -> None:
     Path(path).write_text(json.dumps(document), encoding="utf-8")
 
 
-def test_everything_that_is_wrong_is_told_at_once(cli: CommandLine, file: str) -> None:
+def test_everything_that_is_wrong_is_reported_at_once(cli: CommandLine, file: str) -> None:
     broken(file)
     outcome = cli("plan", "check", file, "--table")
     assert outcome.status == ExitCode.USAGE

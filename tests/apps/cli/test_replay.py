@@ -18,7 +18,7 @@ def test_each_file_has_a_name_of_its_own() -> None:
     assert names == ["flight", "flight_2", "flight_2026_01", "a_b", "a_b_2", "flight_3"]
 
 
-def test_what_cannot_be_played_is_told_before_anything_is_served(
+def test_what_cannot_be_played_is_reported_before_anything_is_served(
     cli: CommandLine, tmp_path: Path
 ) -> None:
     for arguments, why in (

@@ -117,7 +117,7 @@ def test_settings_are_shown_with_their_origin(tmp_path: Path) -> None:
         (("serve", "--sim", "--tls-cert", "/none", "--tls-key", "/none"), "TLS files"),
     ],
 )
-def test_mistakes_are_told_with_a_remedy(
+def test_mistakes_are_reported_with_a_remedy(
     cli: CommandLine, monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...], says: str
 ) -> None:
     monkeypatch.setenv("M100LINK_PORT", "0")
@@ -220,7 +220,7 @@ async def test_the_end_without_an_aircraft_says_nothing_of_one(more: tuple[str, 
 
 
 @pytest.mark.anyio
-async def test_a_front_that_died_is_told_once_and_its_console_can_be_opened_again(
+async def test_a_front_that_died_is_reported_once_and_its_console_can_be_opened_again(
     tmp_path: Path,
 ) -> None:
     token = secret_file(tmp_path)
@@ -496,7 +496,7 @@ def test_a_session_sees_the_node_and_sigterm_ends_it() -> None:
 
 
 @pytest.mark.parametrize("as_json", [False, True])
-def test_each_socket_that_is_opened_is_told(
+def test_each_socket_that_is_opened_is_reported(
     as_json: bool, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Also of a front that this file does not know."""

@@ -122,7 +122,7 @@ def test_one_line_of_json_once_it_answers_and_a_clean_end(
 @pytest.mark.parametrize(
     ("option", "least", "most"), [("--pace", 0, 960), ("--no-pace", 5000, 2**30)]
 )
-def test_bytes_take_their_time_unless_told_otherwise(
+def test_bytes_take_their_time_unless_set_otherwise(
     start: Any, option: str, least: int, most: int
 ) -> None:
     simulator = start("--tcp", "0", "--baud", "9600", option)
@@ -248,7 +248,7 @@ def shown(view: LiveView) -> str:
     return captured.get()
 
 
-def test_arrows_and_letters_are_told_apart_in_one_read() -> None:
+def test_arrows_and_letters_are_distinguished_in_one_read() -> None:
     assert read_keys(b"p\x1b[A\x1b[DX ") == ["p", "UP", "LEFT", "X", " "]
     assert read_keys(b"") == []
 

@@ -236,14 +236,14 @@ def test_ctrl_c_that_interrupts_no_wait_ends_a_question_all_the_same(
 # -- how a command ends: its exit status by what went wrong, and JSON that every reader takes ------
 
 
-def test_an_error_is_told_on_standard_error_as_it_is(capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_error_is_printed_on_standard_error_as_it_is(capsys: pytest.CaptureFixture[str]) -> None:
     assert complain(errors.BadURL("[bold]x[/]", remedy="write y")) == 2
     out, err = capsys.readouterr()
     assert out == ""
     assert err == "error: [bold]x[/]\n  what to do:   write y\n  code:         M100-BAD-URL\n"
 
 
-def test_a_remedy_for_programs_is_told_as_what_is_typed(
+def test_a_remedy_for_programs_is_shown_as_a_command(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     complain(errors.UsageError("x", remedy="take off first: await control.take_off()"))
@@ -251,7 +251,7 @@ def test_a_remedy_for_programs_is_told_as_what_is_typed(
 
 
 @pytest.mark.parametrize("written", _TYPED)
-def test_what_is_told_otherwise_is_what_the_library_says(written: str) -> None:
+def test_what_is_reported_otherwise_is_what_the_library_says(written: str) -> None:
     said = "".join(path.read_text() for path in programs("m100link") if "cli" not in path.parts)
     for beyond in ({"height": 1e6}, {"far": 1e6}, {"speed": 1e6}):
         with pytest.raises(errors.GuardRefused) as caught:

@@ -45,7 +45,7 @@ def rows(table: Table) -> dict[str, list[str]]:
 
 
 def measured(age_s: float = 0.25) -> Any:
-    """An aircraft of which the battery alone is told: each number is another one."""
+    """An aircraft that sends the battery alone: each number is another one."""
 
     def statistics(record: type[Any]) -> ItemStatistics:
         name = BY_RECORD[record].name
@@ -154,7 +154,7 @@ async def test_yes_is_yes(answer: str, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     ("verb", "last"), [(flight.land, "land"), (flight.home, "go_home")], ids=["land", "home"]
 )
-async def test_the_mission_ends_before_it_is_told_to_come_down(
+async def test_the_mission_ends_before_it_is_ordered_down(
     verb: Any, last: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The aircraft ignores everything else until a mission is over or stopped."""

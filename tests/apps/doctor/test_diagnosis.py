@@ -70,7 +70,7 @@ async def test_the_table_of_the_manual_is_what_they_say() -> None:
     assert [line for line in written if line.startswith("|")] == await rows()
 
 
-async def test_it_is_told_stage_by_stage_and_ends_with_the_first_failure() -> None:
+async def test_it_is_reported_stage_by_stage_and_ends_with_the_first_failure() -> None:
     told: list[Finding] = []
     report = await diagnose("sim://?deaf=1", tell=told.append)
     assert tuple(told) == report.findings

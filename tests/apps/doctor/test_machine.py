@@ -101,7 +101,7 @@ def test_the_permission_is_that_of_the_device() -> None:
 def test_a_member_is_one_by_the_own_group_or_by_the_list(
     monkeypatch: pytest.MonkeyPatch, own_group: int, members: list[str], is_member: bool
 ) -> None:
-    """The list of the group tells of whoever was added and has not logged in again."""
+    """The list of the group shows a user who was added and has not logged in again."""
     asked: list[str] = []
 
     def named(name: str) -> SimpleNamespace:

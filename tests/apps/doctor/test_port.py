@@ -51,7 +51,7 @@ def test_a_port_that_is_well(port: Port, machine: FakeMachine) -> None:
     assert look_at_latency(port.path, machine).seen == "latency timer 1 ms"
 
 
-def test_a_link_is_followed_and_told(port: Port, machine: FakeMachine, tmp_path: Path) -> None:
+def test_a_link_is_followed_and_reported(port: Port, machine: FakeMachine, tmp_path: Path) -> None:
     link = tmp_path / "m100"
     link.symlink_to(port.path)
     assert looked_at(str(link), machine)[0].seen == f"{link} → {port.path}"
@@ -65,7 +65,7 @@ def test_there_is_no_such_port(machine: FakeMachine) -> None:
     assert found.commands[0] == "m100link ports"
 
 
-def test_a_folder_that_nobody_may_look_into_is_told(
+def test_a_folder_that_nobody_may_look_into_is_reported(
     machine: FakeMachine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def closed(path: str) -> bool:
@@ -202,7 +202,7 @@ def test_modem_manager_is_no_doubt_where_a_rule_keeps_it_away(
 
 
 class Line(asyncio.Transport):
-    """A line that ends when it is told to, or never."""
+    """A line that ends on request, or never."""
 
     def __init__(self, ear: Ear, *, ends: bool) -> None:
         super().__init__()

@@ -128,7 +128,7 @@ async def steered(far: AgentClient, lease: Lease, seconds: float) -> None:
         (2.0, "has answered nothing for"),
     ],
 )
-async def test_who_steers_over_a_way_that_became_slow_is_told_so_and_keeps_control(
+async def test_an_operator_over_a_slow_network_hears_so_and_keeps_control(
     rig: Rig, delay: float, told: str
 ) -> None:
     one = await rig.served("a1")
@@ -144,7 +144,7 @@ async def test_who_steers_over_a_way_that_became_slow_is_told_so_and_keeps_contr
         assert told in refused[-1].seen
 
 
-async def test_who_holds_a_key_through_a_cut_is_told_that_it_flies_nothing(rig: Rig) -> None:
+async def test_a_key_held_through_a_cut_is_reported_to_fly_nothing(rig: Rig) -> None:
     one = await rig.served("a1")
     pilot = await rig.pilot()
     async with front(rig, pilot) as far:
@@ -161,7 +161,7 @@ async def test_who_holds_a_key_through_a_cut_is_told_that_it_flies_nothing(rig: 
         assert one.client.holder.number == lease.number
         refused.clear()
         await steered(far, lease, 2.0)
-        assert len(refused) >= 40, "a page forgets with each beat what was told before"
+        assert len(refused) >= 40, "a page forgets the last report with each beat"
         assert all("the stream of setpoints had ended" in error.seen for error in refused)
         await anyio.sleep(1.0)
         await steered(far, lease, 2.0)  # it was let go of, and pressed anew
@@ -177,7 +177,7 @@ async def test_a_cut_network_is_a_hover_and_a_front_that_says_so(rig: Rig) -> No
     async with front(rig, pilot) as far:
         lease = await flying(far)
         await steered(far, lease, 2.0)
-        rig.network.weather.presence_s = 60.0  # nobody is told that it is gone
+        rig.network.weather.presence_s = 60.0  # nobody hears that it is gone
         rig.network.cut(one.bus)
         await steered(far, lease, 3.0)
         assert one.speed < 0.3
@@ -301,7 +301,7 @@ async def test_a_way_that_is_closed_listens_no_more(rig: Rig) -> None:
     assert not rig.network.takers("subscribe", Keys(SITE, "a1").telemetry)
 
 
-async def test_what_cannot_be_costs_itself_alone_and_is_told_once(
+async def test_what_cannot_be_costs_itself_alone_and_is_reported_once(
     rig: Rig, caplog: pytest.LogCaptureFixture
 ) -> None:
     await rig.served("a1")
@@ -319,7 +319,7 @@ async def test_what_cannot_be_costs_itself_alone_and_is_told_once(
         assert far.is_connected
 
 
-async def test_what_this_side_always_fails_over_does_not_fill_the_log(
+async def test_an_error_that_comes_again_and_again_does_not_fill_the_log(
     rig: Rig, caplog: pytest.LogCaptureFixture
 ) -> None:
     await rig.served("a1")

@@ -85,7 +85,7 @@ ASKING: dict[str, Callable[[FleetAircraft], Awaitable[object]]] = {
 
 
 @pytest.mark.parametrize("what", ASKING)
-async def test_an_old_agent_is_told_with_both_versions(rig: Rig, what: str) -> None:
+async def test_an_old_agent_is_reported_with_both_versions(rig: Rig, what: str) -> None:
     board, pilot = rig.network.session(), await rig.pilot()
     board.declare(Keys(SITE, "a1").live_by(board.session))
 
@@ -126,7 +126,7 @@ async def test_what_can_be_no_name_is_nobody(rig: Rig) -> None:
 
 
 async def test_a_card_of_another_name_than_that_of_its_key_is_not_shown_as_it(rig: Rig) -> None:
-    """Rules of a router go by keys: what is told under one's own may say anything."""
+    """Rules of a router go by keys: messages under one's own may say anything."""
     await rig.aircraft("a1")
     other = rig.network.session()
     keys = Keys(SITE, "a2")
@@ -137,7 +137,7 @@ async def test_a_card_of_another_name_than_that_of_its_key_is_not_shown_as_it(ri
     assert found["a2"].connection == "unreadable"
 
 
-async def test_who_was_never_told_the_time_lands_all_the_same(rig: Rig) -> None:
+async def test_an_operator_without_the_time_lands_all_the_same(rig: Rig) -> None:
     """The first word of a program: its age is not known, and asked for."""
     one, pilot = await rig.aircraft("a1"), await rig.pilot()
     await pilot["a1"].take_off()
@@ -145,7 +145,7 @@ async def test_who_was_never_told_the_time_lands_all_the_same(rig: Rig) -> None:
     assert one.height < 0.1
 
 
-async def test_who_was_told_the_time_long_ago_lands_all_the_same(rig: Rig) -> None:
+async def test_an_operator_with_an_old_time_lands_all_the_same(rig: Rig) -> None:
     one, pilot = await rig.aircraft("a1"), await rig.pilot()
     aircraft = pilot["a1"]
     await aircraft.take_off()
@@ -158,7 +158,7 @@ async def test_who_was_told_the_time_long_ago_lands_all_the_same(rig: Rig) -> No
 async def test_a_landing_that_was_given_up_does_not_end_the_flight_of_another(
     rig: Rig, has_asked_before: bool
 ) -> None:
-    """It is on its way for a minute, and was told as unknown after five seconds."""
+    """It travels for a minute, and was reported as unknown after five seconds."""
     one, pilot, other = await rig.aircraft("a1"), await rig.pilot(), await rig.pilot("other")
     aircraft = pilot["a1"]
     if has_asked_before:
@@ -199,7 +199,7 @@ async def test_what_needs_no_lease_has_its_outcome_over_long_ways(rig: Rig, way:
 
 
 @pytest.mark.parametrize("way", [1.0, 2.0])
-async def test_a_landing_is_flown_and_told_over_long_ways(rig: Rig, way: float) -> None:
+async def test_a_landing_is_flown_and_reported_over_long_ways(rig: Rig, way: float) -> None:
     one = await in_the_air(rig)
     rig.network.weather = Weather(delay_s=way)
     assert await told(rig, FleetAircraft.land) is Outcome.OK
@@ -214,14 +214,14 @@ async def test_a_landing_over_a_way_of_three_seconds_is_refused_for_its_age(rig:
     assert one.height > 1.0
 
 
-async def test_a_lease_is_held_and_a_take_off_told_over_a_way_of_a_second(rig: Rig) -> None:
+async def test_a_lease_is_held_and_a_take_off_reported_over_a_way_of_a_second(rig: Rig) -> None:
     one = await rig.aircraft("a1")
     rig.network.weather = Weather(delay_s=1.0)
     assert await told(rig, FleetAircraft.take_off) is Outcome.OK
     assert one.height > 1.0
 
 
-async def test_a_mission_is_told_over_a_way_of_a_second(rig: Rig) -> None:
+async def test_a_mission_is_reported_over_a_way_of_a_second(rig: Rig) -> None:
     await rig.aircraft("a1")
     rig.network.weather = Weather(delay_s=1.0)
     pilot = await rig.pilot()
@@ -229,7 +229,9 @@ async def test_a_mission_is_told_over_a_way_of_a_second(rig: Rig) -> None:
 
 
 @pytest.mark.parametrize("way", [2.0, 3.0])
-async def test_no_lease_can_be_held_over_longer_ways_and_that_is_told(rig: Rig, way: float) -> None:
+async def test_no_lease_can_be_held_over_longer_ways_and_that_is_reported(
+    rig: Rig, way: float
+) -> None:
     """It ends 3 s after the last word, and the first word under it comes later."""
     one = await rig.aircraft("a1")
     rig.network.weather = Weather(delay_s=way)
@@ -238,7 +240,7 @@ async def test_no_lease_can_be_held_over_longer_ways_and_that_is_told(rig: Rig, 
 
 
 @pytest.mark.parametrize("silent_s", [4.0, 8.0])
-async def test_what_became_of_an_order_is_told_when_the_way_is_there_again(
+async def test_what_became_of_an_order_is_reported_when_the_way_is_there_again(
     rig: Rig, silent_s: float
 ) -> None:
     """What answers is lost for longer than three questions wait."""

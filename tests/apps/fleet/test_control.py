@@ -1,4 +1,4 @@
-"""Control over the network: one pilot at a time, and whoever loses it is told."""
+"""Control over the network: one operator at a time, and the loser of it hears so."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ async def test_no_setpoint_is_stamped_by_a_clock_that_is_not_known_any_more(
             control.send(NORTH)
 
 
-async def test_a_pilot_who_is_cut_off_longer_than_the_lease_is_told(rig: Rig) -> None:
+async def test_an_operator_who_is_cut_off_longer_than_the_lease_hears_of_it(rig: Rig) -> None:
     one, pilot = await rig.aircraft("a1"), await rig.pilot()
     began = 0.0
     with pytest.raises(OutcomeUnknown, match="the lease has ended"):
@@ -158,7 +158,7 @@ async def test_a_stop_ends_a_hold_until_the_pilot_begins_anew(rig: Rig) -> None:
         assert one.speed < 0.3
 
 
-async def test_a_lease_that_is_lost_before_the_block_begins_is_told(rig: Rig) -> None:
+async def test_a_lease_that_is_lost_before_the_block_begins_is_reported(rig: Rig) -> None:
     """And the task of who asked is not cancelled instead."""
     one, pilot = await rig.aircraft("a1"), await rig.pilot()
     control = pilot["a1"].control()
@@ -233,7 +233,7 @@ async def test_a_take_over_of_what_is_given_back_meanwhile(rig: Rig, after: floa
             assert one.client.holder.name == "second"
 
 
-async def test_a_lease_that_is_lost_in_the_landing_of_its_end_is_told(rig: Rig) -> None:
+async def test_a_lease_that_is_lost_in_the_landing_of_its_end_is_reported(rig: Rig) -> None:
     """And the task that flew does not count as cancelled by somebody."""
     one, pilot = await rig.aircraft("a1"), await rig.pilot()
 

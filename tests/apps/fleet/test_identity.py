@@ -187,7 +187,7 @@ def test_what_was_signed_before_the_agent_began_is_refused_but_a_stop_is_not() -
     assert reason(order("2", at=NOW), at=anew) is None
 
 
-def test_who_is_revoked_is_told_so_but_only_who_proves_to_be_it() -> None:
+def test_a_revoked_name_hears_so_but_only_with_its_proof() -> None:
     revoked = defaultdict(str, anna="2026-11-22").__getitem__
     at = Gate(RIGHTS, "a1", began_at=NOW - 60, revoked=revoked)
     for right in Right:

@@ -79,7 +79,7 @@ async def test_who_flies_home_is_landed_where_it_is(rig: Rig) -> None:
 
 
 class FullDisk(MemoryOrderLog):
-    """It fails, or it hangs, from when it is told to."""
+    """It fails or hangs from a chosen time on."""
 
     is_full = hangs = False
 

@@ -97,7 +97,7 @@ def test_telemetry_is_the_wire_value_and_fourteen_bytes() -> None:
     assert unpack_message(payload) == Telemetry(value, "1.0", 12.5)
 
 
-def test_another_version_is_told() -> None:
+def test_another_version_is_reported() -> None:
     payload = bytes([VERSION + 1]) + pack(ORDER)[1:]
     with pytest.raises(MessageError, match=f"version {VERSION + 1}") as caught:
         unpack(OrderMessage, payload)
@@ -352,13 +352,15 @@ BOTH = "version 2 of the fleet's messages came to a program that reads version 3
         (Card, OLD_CARD),
     ],
 )
-def test_what_an_old_release_wrote_is_told_with_both_versions(kind: Any, payload: bytes) -> None:
+def test_what_an_old_release_wrote_is_reported_with_both_versions(
+    kind: Any, payload: bytes
+) -> None:
     with pytest.raises(MessageError, match=BOTH) as caught:
         unpack(kind, payload)
     assert caught.value.remedy == "install the same release on both"
 
 
-# -- what an error means for whoever asked ---------------------------------------------------------
+# -- what an error means for the client ------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

@@ -139,7 +139,9 @@ def test_nobody_else_reads_them(folder: Path) -> None:
     assert stat.S_IMODE(folder.stat().st_mode) == 0o700
 
 
-def test_a_pilots_signing_key_fits_what_is_told_and_outlives_the_certificate(folder: Path) -> None:
+def test_an_operators_signing_key_fits_what_is_printed_and_outlives_the_certificate(
+    folder: Path,
+) -> None:
     made = issue(folder, Kind.PILOT, "anna", now=NOW)
     assert made.signing_key is not None
     signer = Signer("anna", bytes.fromhex(read_token(made.signing_key)))

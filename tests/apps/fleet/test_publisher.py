@@ -57,12 +57,12 @@ async def test_what_cannot_be_read_is_counted(rig: Rig) -> None:
     assert (wall.unread, wall.received.total()) == (4, 0)
 
 
-# -- A wall is told of each item at its own rate or five times a second, whatever comes togethe ----
+# -- An overview gets each item at its own rate or five times a second -----------------------------
 
 
 FAST, MIDDLE, TENTH, SLOW = 1 << 1, 1 << 5, 1 << 9, 1 << 10
 EVERY = {FAST: 1, MIDDLE: 2, TENTH: 10, SLOW: 100}
-"""Items at 100, 50, 10 and 1 Hz, as an aircraft can be told to send them."""
+"""Items at 100, 50, 10 and 1 Hz, as an aircraft can be set to send them."""
 
 
 def told_of(shifts: dict[int, int], *, jitter: float = 0.0, seed: int = 0) -> Counter[str]:
@@ -95,7 +95,7 @@ def test_each_item_at_five_hertz_or_its_own_rate(shift: int, jitter: float) -> N
     about = f"seed {shift}: {shifts} {told}"
     assert told[bin(SLOW)] == 10, about
     for item in (FAST, MIDDLE, TENTH):
-        # One that comes without the others is told by itself, with the fast ones as company.
+        # One that comes without the others is sent by itself, with the fast ones as company.
         assert 48 <= told[bin(item)] <= told["packages"], about
     assert told["packages"] <= 115, about
 
@@ -116,7 +116,7 @@ def test_what_was_silent_goes_on_at_once() -> None:
     assert not thinner.goes_on(FAST, 3.01)
 
 
-def test_two_that_were_read_at_once_are_told_once() -> None:
+def test_two_that_were_read_at_once_are_reported_once() -> None:
     thinner = Thinner(5.0)
     told = [at for at in range(100) for _ in range(2) if thinner.goes_on(FAST, at / 100)]
     assert told == [0, *range(20, 100, 20)]

@@ -129,7 +129,7 @@ async def test_what_is_flown_hovers_and_nothing_more_is_obeyed(
         await rig.until(lambda: one.speed < 0.3, within=2.0 + (way == "file"))
         await rig.until(lambda: one.client.holder.number == 0, within=5.0)
         assert anyio.current_time() - began < 5.0
-    assert refused, "the pilot was told why"
+    assert refused, "the operator heard why"
     await anyio.sleep(5.0)
     assert one.speed < 0.3
     for do in (FleetAircraft.take_off, FleetAircraft.land, FleetAircraft.stop):
@@ -258,7 +258,7 @@ async def test_a_list_that_nobody_of_authority_signed_changes_nothing(
             await site.push(other)
         (site.board / LIST).write_bytes(other)
         await anyio.sleep(5.0)
-        assert site.told.count(said) == number, "told once, however often it is looked at"
+        assert site.told.count(said) == number, "reported once, however often it is looked at"
     assert site.revocations.number == 0
     await site.bert["a1"].stop()
     with pytest.raises(BadRevoked):
@@ -275,7 +275,9 @@ async def test_a_flood_of_lists_is_not_read(site: Site) -> None:
     assert await site.push(site.revoked("eve")) == 1
 
 
-async def test_a_disk_that_does_not_take_it_is_told_and_the_list_is_in_force(site: Site) -> None:
+async def test_a_disk_that_does_not_take_it_is_reported_and_the_list_is_in_force(
+    site: Site,
+) -> None:
     await site.begin()
     (site.board / LIST).mkdir()
     with pytest.raises(UsageError, match=LIST):
@@ -286,7 +288,7 @@ async def test_a_disk_that_does_not_take_it_is_told_and_the_list_is_in_force(sit
     assert (site.board / LIST).exists()
 
 
-async def test_an_agent_that_does_not_know_of_lists_is_told_of(rig: Rig) -> None:
+async def test_an_agent_that_does_not_know_lists_is_reported(rig: Rig) -> None:
     await rig.aircraft("a1")
     pilot = await rig.pilot()
     with pytest.raises(OutcomeUnknown, match="which list"):
@@ -303,7 +305,7 @@ def test_a_folder_without_an_authority_is_none(tmp_path: Path) -> None:
         Revocations.of_folder(tmp_path)
 
 
-async def test_whoever_placed_an_aircraft_for_a_show_places_it_no_more(
+async def test_a_revoked_operator_that_placed_an_aircraft_places_it_no_more(
     site: Site, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     await site.begin()
@@ -400,7 +402,7 @@ def test_what_is_signed_and_says_what_cannot_be_is_refused(
         Revoked.verified(authority.signed(told), authority.certificate)
 
 
-def test_too_many_names_are_told_as_the_list_is_made(authority: Authority) -> None:
+def test_too_many_names_are_reported_as_the_list_is_made(authority: Authority) -> None:
     many = {f"pilot-{number}-{'x' * 20}": "2026-11-22" for number in range(800)}
     with pytest.raises(BadRevoked, match="too many"):
         sign_revoked(1, many, authority.key)

@@ -114,7 +114,7 @@ def words(document: bytes) -> Any:
     return list(within(json.loads(document)))
 
 
-async def test_a_listener_is_told_no_secret_and_flies_nothing_with_what_it_hears(
+async def test_a_listener_hears_no_secret_and_flies_nothing_with_what_it_hears(
     rig: Rig,
 ) -> None:
     """Agents verify signatures, and bert may watch and stop."""
@@ -136,7 +136,7 @@ async def test_a_listener_is_told_no_secret_and_flies_nothing_with_what_it_hears
         moves = one.aircraft.vehicle.flight.dynamics
         place = moves.north, moves.east
         number, secret = control.proof
-        # Whatever word was told or heard is tried as if it were the secret.
+        # Whatever word was sent or heard is tried as if it were the secret.
         told = {word for payload in listener.told for word in words(payload[1:])}
         asked = {word for _, order in sent for word in words(order.document)}
         assert secret not in told | asked
@@ -279,7 +279,7 @@ async def test_another_order_of_the_same_id_gives_no_outcome(rig: Rig, is_first:
         told = (await anna.land(["a1"]))["a1"].outcome
     if is_first:
         assert told is Outcome.REFUSED
-        assert one.height > 1.0, "it was not carried out, as was told"
+        assert one.height > 1.0, "it was not carried out, as reported"
     else:
         assert told is Outcome.UNKNOWN
         await rig.until(lambda: one.height < 0.1)  # asked for again, under another id

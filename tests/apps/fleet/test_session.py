@@ -1,4 +1,4 @@
-"""A session of a fleet over loopback: its router, who waits for that, and what is told without."""
+"""A session of a fleet over loopback: its router, programs that wait for it, and errors."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def anyio_backend() -> str:
     return "asyncio"
 
 
-async def test_no_router_is_told_with_what_to_do() -> None:
+async def test_no_router_is_reported_with_a_remedy() -> None:
     with pytest.raises(UsageError, match="no router answered") as caught:
         async with open_fleet("client", connect=(free_place(),)):
             pass

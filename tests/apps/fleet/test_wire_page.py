@@ -241,7 +241,7 @@ def test_the_page_names_every_key_and_field() -> None:
         ("again_s", "LogReply again_s"),
     ],
 )
-def test_what_the_page_leaves_out_is_told_by_name(word: str, what: str) -> None:
+def test_what_the_page_leaves_out_is_reported_by_name(word: str, what: str) -> None:
     text = PAGE.read_text(encoding="utf-8")
     assert what in missing(re.sub(rf"(?<!\w){word}(?!\w)", "other", text))
 

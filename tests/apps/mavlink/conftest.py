@@ -239,7 +239,7 @@ def world_of(known: Known, *, home: tuple[float, float, float] | None = None) ->
     """What the bridge makes of it.
 
     Args:
-        known: What is told.
+        known: What is reported.
         home: How far north, east and up of home it is, m; None where nobody knows.
     """
     world = VehicleState(cast(AgentClient, known), session_of(known))

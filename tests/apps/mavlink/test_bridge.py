@@ -48,7 +48,7 @@ async def test_armed_up_and_down_again(firmware: str) -> None:
         await rig.until(lambda: not rig.client.holder.number)
 
 
-async def test_nothing_is_told_before_somebody_is_heard(rig: Rig) -> None:
+async def test_nothing_is_reported_before_somebody_is_heard(rig: Rig) -> None:
     silent = Ground(rig, ("127.0.0.1", 5555), 77)
     silent.is_silent = True
     silent.command(MavCommand.COMPONENT_ARM_DISARM, 1)

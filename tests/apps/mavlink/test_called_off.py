@@ -90,7 +90,7 @@ async def test_what_takes_off_although_it_was_called_off_is_landed(
     ground.command(*_UP)
     while not rig.motors_on:  # noqa: ASYNC110 - virtual time: it costs nothing
         await anyio.sleep(0.001)
-    assert rig.vehicle.world.phase is VehiclePhase.ARMED, "telemetry has not told it yet"
+    assert rig.vehicle.world.phase is VehiclePhase.ARMED, "telemetry does not show it yet"
     assert await ground.ask(int(end[0]), *end[1:]) is MavResult.ACCEPTED
     await rig.until(lambda: rig.height > 0.5)
     assert ground.armed()

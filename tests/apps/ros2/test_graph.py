@@ -199,6 +199,6 @@ def test_of_a_flood_some_is_lost_and_then_all_count_as_gone() -> None:
         inboxes[0].waiting.append(TokenChange(token(str(number)), True))
     presence.look()
     assert presence.missing(clients)
-    inboxes[1].waiting.append(TokenChange(token("a"), True))  # told once more
+    inboxes[1].waiting.append(TokenChange(token("a"), True))  # sent once more
     presence.look()
     assert presence.clients(TOPIC) == clients

@@ -127,7 +127,7 @@ async def test_what_is_made_of_a_package_goes_out_together(
     assert 40 < turns.count("made") <= packages
 
 
-async def test_the_status_is_told_at_each_change(rig: Rig, program: Program) -> None:
+async def test_the_status_is_reported_at_each_change(rig: Rig, program: Program) -> None:
     await program.up()
     said = rig.said("~/flight_status")
     assert {one["phase"] for one in said} >= {1, 2, 3}

@@ -86,7 +86,7 @@ async def test_it_is_flown_paused_resumed_and_over(rig: Rig, program: Program) -
     assert len(rig.said("~/mission_event")) > len(events)
     pose = rig.said("~/odom")[-1]["pose"]["pose"]["position"]
     assert (pose["x"], pose["y"]) == pytest.approx((30.0, 40.0), abs=1.5)
-    # It hovers, and flies for whoever has control.
+    # It hovers, and flies for the holder of control.
     await anyio.sleep(1.0)
     await program.fly(2.0, 2.0)
     assert rig.speed > 1.5
@@ -205,7 +205,7 @@ def rates(program: Program, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> N
     program.publish("~/gimbal_speed", {"header": header, "vector": {"x": x, "y": y, "z": z}})
 
 
-async def test_it_points_where_it_is_told(rig: Rig, program: Program) -> None:
+async def test_it_points_where_it_is_ordered(rig: Rig, program: Program) -> None:
     assert (await program.call("~/obtain_control"))["success"]
     answer = await program.call("~/point_gimbal", POINT, **asked(pitch=-60.0, keep_yaw=True))
     assert answer["success"], answer
@@ -213,7 +213,7 @@ async def test_it_points_where_it_is_told(rig: Rig, program: Program) -> None:
     assert rig.aircraft.vehicle.gimbal.pitch == pytest.approx(-60.0, abs=1.0)
 
 
-async def test_it_turns_as_long_as_it_is_told(rig: Rig, program: Program) -> None:
+async def test_it_turns_as_long_as_ordered(rig: Rig, program: Program) -> None:
     assert (await program.call("~/obtain_control"))["success"]
     before = rig.aircraft.vehicle.gimbal.pitch
     for _ in range(20):

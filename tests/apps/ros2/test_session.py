@@ -1,4 +1,4 @@
-"""A session of ROS 2: what its environment may say, and what is told where that cannot be."""
+"""A session of ROS 2: what its environment may say, and the errors where that cannot be."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ async def test_two_meet_by_what_their_environment_says() -> None:
         ("ZENOH_CONFIG_OVERRIDE", 'listen/endpoints=["tcp/127.0.0.1:1:2"]'),
     ],
 )
-async def test_a_configuration_that_cannot_be_is_told(variable: str, value: str) -> None:
+async def test_a_configuration_that_cannot_be_is_reported(variable: str, value: str) -> None:
     with pytest.raises(UsageError) as refusal:
         async with open_ros2({variable: value}):
             pass

@@ -299,7 +299,7 @@ def told(
             rig.known.tell(state, LeaseChanged(3, "somebody"), MissionReport(2, b"\x09\x04"))
             rig.known.tell(Event(1, 0.75, "warning", "a bird"))
             await anyio.sleep(SECOND_AT - 0.75 - pause)
-            gone = (Time, Battery)  # the battery is told once a second
+            gone = (Time, Battery)  # the battery is sent once a second
             rig.known.tell_package(SECOND_AT - pause, without=gone, changed=(first,))
             await anyio.sleep(pause)
             for name in BY_PACKAGE:
@@ -334,7 +334,7 @@ def test_the_table_has_every_topic() -> None:
 
 
 @pytest.mark.parametrize("name", TOLD)
-def test_what_is_told_of_an_aircraft_whose_numbers_all_differ(name: str) -> None:
+def test_what_is_reported_of_an_aircraft_whose_numbers_all_differ(name: str) -> None:
     found = told()[name]
     agree(found, TOLD[name])
     if name in BY_PACKAGE:  # of the others, the table leaves times and texts out
@@ -360,7 +360,7 @@ def test_what_is_told_of_an_aircraft_whose_numbers_all_differ(name: str) -> None
         (Battery, {"~/battery", "dji_sdk/battery_state"}),
     ],
 )
-def test_what_a_package_has_not_is_not_told(record: type[Any], silent: set[str]) -> None:
+def test_what_a_package_has_not_is_not_reported(record: type[Any], silent: set[str]) -> None:
     found = told((record,))
     assert {name for name in BY_PACKAGE if found[name] is None} == silent
 
@@ -445,7 +445,7 @@ def test_a_status_of_long_ago_is_not_known() -> None:
     assert found["/diagnostics"]["status.3.message"] == "the pilot flies"
 
 
-def test_a_pilot_who_flies_is_told() -> None:
+def test_a_pilot_who_flies_is_reported() -> None:
     found = told(state=replace(STATE, has_authority=False, round_trip=None))
     assert found["~/flight_status"]["has_authority"] is False
     assert found["/diagnostics"]["status.3.message"] == "the pilot flies"
@@ -947,7 +947,7 @@ HZ = {
 }
 
 
-def test_what_is_told_comes_as_often_as_the_manual_says() -> None:
+def test_what_is_sent_comes_as_often_as_the_manual_says() -> None:
     there = {name: row.hz for name, row in ALL_OUTPUTS.items()}
     assert there == dict.fromkeys(DJI_OUTPUTS, 50) | HZ
 

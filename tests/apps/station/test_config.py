@@ -164,7 +164,7 @@ def test_launch_files_made_to_harm_or_not_filled_in(tmp_path: Path, text: str, s
         resolve({}, {}, launch=path)
 
 
-def test_a_key_that_is_none_is_told_without_being_shown(tmp_path: Path) -> None:
+def test_a_key_that_is_none_is_reported_without_being_shown(tmp_path: Path) -> None:
     text = LAUNCH.replace(KEY, "DJI-DEMO AES256 KEY-lala-haha-MA")  # what DJI's file has there
     with pytest.raises(BadKey) as caught:
         resolve({}, {}, launch=write(tmp_path / "x.launch", text)).credentials()

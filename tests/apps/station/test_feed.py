@@ -1,4 +1,4 @@
-"""What Foxglove is told, as a table: values in, values out by its schemas.
+"""The messages to Foxglove, as a table: values in, values out by its schemas.
 
 LocationFix: degrees, and m above the ellipsoid. FrameTransform: m, and a rotation of the child in
 the parent; here east, north, up of the take-off, and forward, left, up. Log: 2 is information, 3 a
@@ -137,7 +137,7 @@ def everything(feed: Feed, known: KnownAgent, agent: AgentClient) -> None:
 
 
 @pytest.mark.parametrize("topic", TOLD)
-def test_what_is_told_of_an_aircraft_whose_numbers_all_differ(topic: str) -> None:
+def test_what_is_reported_of_an_aircraft_whose_numbers_all_differ(topic: str) -> None:
     [found] = heard(everything)[topic]
     rotation = found.get("rotation", {"w": 1.0})
     if rotation["w"] < 0.0:  # the same rotation
@@ -156,7 +156,7 @@ def test_levels_are_those_of_foxglove(level: str, number: int) -> None:
 
 
 def packages(*given: Any) -> dict[str, list[Any]]:
-    """What is told of packages, 10 ms after each other."""
+    """The messages about packages, 10 ms after each other."""
 
     def tell(feed: Feed, known: KnownAgent, agent: AgentClient) -> None:
         for place, one in enumerate(given):
@@ -165,7 +165,7 @@ def packages(*given: Any) -> dict[str, list[Any]]:
     return heard(tell)
 
 
-def test_what_a_package_has_not_is_not_told() -> None:
+def test_what_a_package_has_not_is_not_reported() -> None:
     assert packages({"without": (Attitude,)}).keys() == {"/m100/telemetry", "/m100/fix"}
     # Nobody knows how high it is: at 0 m it would lie on the ground.
     assert packages({"without": (Position,)}).keys() == {"/m100/telemetry"}
@@ -174,11 +174,11 @@ def test_what_a_package_has_not_is_not_told() -> None:
 @pytest.mark.parametrize(
     "place", [position(latitude=NAN), position(height=NAN), position(latitude=91.0)]
 )
-def test_what_cannot_be_a_place_is_not_told(place: Position) -> None:
+def test_what_cannot_be_a_place_is_not_reported(place: Position) -> None:
     assert packages({"changed": (place,)}).keys() == {"/m100/telemetry"}
 
 
-def test_what_came_in_another_package_than_the_one_that_is_due_is_told() -> None:
+def test_what_came_in_another_package_than_the_one_that_is_due_is_reported() -> None:
     """A position at 10 Hz beside a quaternion at 100 Hz may never be in the package that is due."""
     found = packages(
         *(
@@ -191,25 +191,25 @@ def test_what_came_in_another_package_than_the_one_that_is_due_is_told() -> None
     assert found["/tf"][0]["translation"]["z"] == close(12.34)
 
 
-def test_an_attitude_of_another_package_is_told() -> None:
+def test_an_attitude_of_another_package_is_reported() -> None:
     usual: list[Any] = [{"without": (Attitude,)}] * 6
     usual[3] = {}
     assert len(packages(*usual)["/tf"]) == 1
 
 
-def test_of_two_places_the_newest_is_told() -> None:
+def test_of_two_places_the_newest_is_reported() -> None:
     usual: list[Any] = [{"without": (Position, Attitude)}] * 6
     usual[3], usual[5] = {"changed": (position(latitude=-20.0),)}, {}
     found = packages(*usual)
     assert [one["latitude"] for one in found["/m100/fix"]] == [close(LATITUDE)]
 
 
-def test_it_is_told_twenty_times_a_second() -> None:
+def test_it_is_reported_twenty_times_a_second() -> None:
     found = packages(*[{"without": (Time,)}] * 101)
     assert [len(found[one]) for one in ("/m100/telemetry", "/m100/fix", "/tf")] == [21] * 3
 
 
-def test_what_the_agent_does_not_have_is_not_told() -> None:
+def test_what_the_agent_does_not_have_is_not_reported() -> None:
     def tell(feed: Feed, known: KnownAgent, agent: AgentClient) -> None:
         known.tell(State(0.0, connection="connecting"))
         feed.hear_state("first", agent)

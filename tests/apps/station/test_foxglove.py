@@ -1,4 +1,4 @@
-"""One viewer without a socket: what it is told, what it may ask for, what it loses when slow."""
+"""One viewer without a socket: what it hears, what it may ask for, what it loses when slow."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def subscription(one: Viewer, *pairs: tuple[Any, Any]) -> None:
     one.receive(json.dumps({"op": "subscribe", "subscriptions": wanted}), 0.0)
 
 
-def test_it_is_told_what_there_is_and_that_nothing_can_be_sent() -> None:
+def test_it_hears_what_there_is_and_that_nothing_can_be_sent() -> None:
     info, advertised = said(Viewer(CHANNELS, "now"))
     assert info["op"] == "serverInfo"
     assert info["capabilities"] == []
@@ -94,7 +94,7 @@ def test_a_slow_one_loses_the_oldest_and_nothing_grows() -> None:
         "[" * 100_000,
     ],
 )
-def test_what_makes_no_sense_is_told_and_does_nothing(frame: str | bytes) -> None:
+def test_what_makes_no_sense_is_reported_and_does_nothing(frame: str | bytes) -> None:
     one = viewer()
     one.receive(frame, 0.0)
     [status] = said(one)
@@ -228,7 +228,7 @@ async def test_one_that_does_not_read_delays_nobody() -> None:
         slow.transport.abort()
 
 
-async def test_who_publishes_is_told_and_who_talks_without_end_is_cut_off() -> None:
+async def test_a_publisher_hears_of_it_and_an_endless_talker_is_cut_off() -> None:
     async with (
         station(foxglove_port=0) as one,
         asyncio.timeout(PATIENCE),

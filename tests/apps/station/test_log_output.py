@@ -126,7 +126,7 @@ def test_a_reader_that_is_gone_harms_nobody(
     os.close(writing)
 
 
-def test_what_is_told_elsewhere_is_not_in_the_log(shown: Shown) -> None:
+def test_what_is_reported_elsewhere_is_not_in_the_log(shown: Shown) -> None:
     tell_elsewhere("m100link.told")
     with writing_log(LogOutput()):
         logging.getLogger("m100link.told").warning("an event")

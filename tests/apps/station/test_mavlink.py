@@ -57,7 +57,7 @@ def test_what_was_recorded_is_refused_at_the_next_start(settings: Settings, tmp_
     assert asyncio.run(served(settings, recorded)) == 1
 
 
-def test_a_folder_that_cannot_be_written_is_told_and_it_serves(
+def test_a_folder_that_cannot_be_written_is_reported_and_it_serves(
     settings: Settings, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     (tmp_path / "m100link").write_text("a file")

@@ -215,7 +215,7 @@ async def test_the_end_gives_authority_back_before_it_waits_for_a_front_that_han
     assert was_running[0], "the aircraft flew on while the end waited for the child"
 
 
-async def test_an_agent_that_is_killed_is_told_by_its_front_and_its_port_is_free() -> None:
+async def test_an_agent_that_is_killed_is_reported_by_its_front_and_its_port_is_free() -> None:
     process = await asyncio.create_subprocess_exec(
         *(sys.executable, "-m", "m100link", "serve", "--sim", "--port", "0", "--json"),
         stdout=asyncio.subprocess.PIPE,
@@ -249,7 +249,7 @@ def files_in(folder: Path) -> list[Path]:
     return sorted(folder.iterdir())
 
 
-async def test_what_it_is_told_to_record_is_recorded_and_told(tmp_path: Path) -> None:
+async def test_what_it_is_ordered_to_record_is_recorded_and_reported(tmp_path: Path) -> None:
     settings = Settings(sim=True, port=0, record=tmp_path)
     async with running_apart(settings) as station:
         connection = station.agent.connection
@@ -261,7 +261,7 @@ async def test_what_it_is_told_to_record_is_recorded_and_told(tmp_path: Path) ->
     assert read(path).summary().is_whole
 
 
-async def test_mistakes_in_what_is_served_are_told_as_ever(tmp_path: Path) -> None:
+async def test_mistakes_in_what_is_served_are_reported_as_ever(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="is not a folder"):
         async with running_apart(Settings(sim=True, port=0, pages=tmp_path / "none")):
             pass
@@ -384,7 +384,7 @@ def _sockets(runtime: Path) -> list[Path]:
     return sorted(runtime.glob("m100link-*/agent*.sock"))
 
 
-async def test_agents_end_in_order_when_whoever_started_them_is_killed(tmp_path: Path) -> None:
+async def test_agents_end_in_order_when_their_starter_is_killed(tmp_path: Path) -> None:
     program = await asyncio.create_subprocess_exec(
         *(sys.executable, "-m", "m100link", "serve", "first=sim://", "second=sim://"),
         *("--port", "0", "--json"),
@@ -432,7 +432,7 @@ async def test_more_aircraft_than_anybody_watches_are_refused() -> None:
             pass
 
 
-async def test_a_mistake_in_one_of_them_is_told_as_it_is(tmp_path: Path) -> None:
+async def test_a_mistake_in_one_of_them_is_reported_as_it_is(tmp_path: Path) -> None:
     wrong = Settings(url="/dev/x", app_id=7, key_file=tmp_path / "none")
     with pytest.raises(UsageError, match="none"):
         async with running_several({"a": Settings(sim=True, port=0), "b": wrong}):

@@ -269,4 +269,4 @@ def test_the_forms_of_a_secret_are_found_wherever_they_stand(tmp_path: Path) -> 
         token.encode().hex(),
     ):
         assert {name for name, _ in secrets.found_in(f"before {told} behind")} == {"token"}
-    assert secrets.found_in("nothing is told") == set()
+    assert secrets.found_in("nothing is logged") == set()

@@ -132,7 +132,7 @@ async def written(page: Any, *names: AlarmName) -> None:
             await page.wait_for_function(IS_WRITTEN, arg=[what, TEXTS[name]])
 
 
-async def test_what_is_told_to_whoever_looks(browser: Any) -> None:
+async def test_what_a_viewer_hears(browser: Any) -> None:
     async with in_flight(browser) as (_, line, page):
         perform(line.aircraft, "gps 2")
         await told(page, N.GPS)
@@ -149,7 +149,7 @@ async def test_what_is_told_to_whoever_looks(browser: Any) -> None:
         await written(page, *WITHOUT_CONTROL)
 
 
-async def test_what_is_told_to_whoever_has_control(browser: Any) -> None:
+async def test_what_the_client_in_control_hears(browser: Any) -> None:
     async with in_flight(browser, height=45.5) as (console, line, page):
         await in_control(page)
         await told(page, N.GUARD_NEAR)

@@ -44,7 +44,7 @@ class Fingers:
         await self._tell("touchEnd")
 
     async def lift(self, selector: str) -> None:
-        """The end of one of two, as the page would be told."""
+        """The end of one of two, as the page would hear it."""
         await self.page.evaluate(
             """(selector) => {
               const stick = m100.steering.sticks.find((one) => one.element.matches(selector));

@@ -32,7 +32,7 @@ CUT_WHILE_HELD = f"""() => document.addEventListener(
   "pointerdown", () => setTimeout({CUT_BOTH}, 300), {{once: true}})"""
 
 
-async def test_a_hold_that_is_lost_with_the_connection_is_told_by_the_page(
+async def test_a_hold_that_is_lost_with_the_connection_is_reported_by_the_page(
     console: Console,
 ) -> None:
     page = await airborne(console)
@@ -56,7 +56,7 @@ async def test_a_hold_that_is_lost_with_the_connection_is_told_by_the_page(
     assert await page.locator("#unanswered").is_hidden()
 
 
-async def test_stop_is_answered_by_either_way_and_told_when_both_are_cut(
+async def test_stop_is_answered_by_either_path_and_reported_when_both_are_cut(
     console: Console,
 ) -> None:
     page = await airborne(console)
@@ -73,7 +73,7 @@ async def test_stop_is_answered_by_either_way_and_told_when_both_are_cut(
     await shows(page, "#unanswered-said", "STOP")
 
 
-async def test_an_answer_that_comes_late_ends_what_was_told(console: Console) -> None:
+async def test_an_answer_that_comes_late_ends_the_report(console: Console) -> None:
     page = await console.open()
     await page.evaluate("window.socket.disconnect()")
     await press(page, "activate")

@@ -106,7 +106,7 @@ async def test_fifty_waypoints_with_actions_on_a_line_that_loses_a_tenth() -> No
 
 
 async def fly_on(flown: Rig, guards: Guards | None, **options: Any) -> list[object]:
-    """What the program is told, until it is told no more."""
+    """The events of the program, to the last one."""
     events: list[object] = []
     async with flown.aircraft.control(guards=guards) as control:
         plan = long_way(flown.aircraft, **options)

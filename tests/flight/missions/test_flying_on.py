@@ -247,7 +247,7 @@ async def test_a_false_finished_behind_a_false_last_waypoint_does_not_leave_it_i
                 else:
                     pytest.fail("not finished")
             await asyncio.sleep(seconds)
-            if at_end is AtEnd.HOVER:  # it is told to be over: what is said of it decides
+            if at_end is AtEnd.HOVER:  # it is reported as over: the status decides
                 with pytest.raises(MissionRunning):
                     control.send(NORTH)
             else:
@@ -352,7 +352,9 @@ async def test_an_end_that_two_pushes_tell_is_believed() -> None:
         assert there.device != ONBOARD
 
 
-async def test_a_detached_mission_whose_end_is_told_at_the_last_moment_keeps_no_authority() -> None:
+async def test_a_detached_mission_whose_end_is_reported_at_the_last_moment_keeps_no_authority() -> (
+    None
+):
     async with foreign() as (there, aircraft):
         async with aircraft.control() as control:
             async with control.waypoint_mission(SLOW) as mission:

@@ -212,7 +212,7 @@ async def test_what_cannot_be_sent_is_named_as_the_call_names_it(
         assert orders(there) == []
 
 
-# -- following a target that moves: fed by an iterator, or told by the program ---------------------
+# -- following a target that moves: fed by an iterator, or by the program --------------------------
 
 
 async def walk(seconds: float, *, speed: float = 2.0, every: float = 0.5) -> AsyncIterator[Target]:
@@ -325,7 +325,7 @@ async def leaving() -> AsyncIterator[Target]:
         (leaving, GuardRefused, "the target"),
     ],
 )
-async def test_a_source_that_fails_stops_it_and_the_program_is_told(
+async def test_a_source_that_fails_stops_it_and_the_program_gets_the_error(
     source: object, error: type[Exception], match: str
 ) -> None:
     async with foreign() as (there, aircraft), aircraft.control() as control:
@@ -387,7 +387,7 @@ async def test_below_five_metres_nothing_is_sent_and_the_remedy_is_to_climb() ->
         (Target(52.1, 4.31, 1e5), "altitude_m", "0 to 65535 m"),
     ],
 )
-async def test_what_is_no_place_is_told_in_the_units_of_the_program(
+async def test_what_is_no_place_is_reported_in_the_units_of_the_program(
     target: Target, field: str, limit: str
 ) -> None:
     async with foreign() as (there, aircraft), aircraft.control() as control:

@@ -79,7 +79,7 @@ async def test_one_that_is_not_ours_is_not_stopped_by_leaving_control() -> None:
         assert there.device == ONBOARD
 
 
-async def test_where_nothing_is_pushed_every_kind_is_told_to_stop() -> None:
+async def test_where_nothing_is_pushed_every_kind_is_stopped() -> None:
     async with foreign() as (there, aircraft):
         there.missions.is_pushing = False
         start_from_a_phone(there)
@@ -194,7 +194,7 @@ async def test_a_block_that_could_not_be_entered_does_not_give_back_what_another
         assert there.device == ONBOARD
 
 
-async def test_one_of_somebody_else_that_was_told_to_stop_in_vain_does_not_keep_authority() -> None:
+async def test_one_of_somebody_else_that_was_stopped_in_vain_does_not_keep_authority() -> None:
     async with foreign() as (there, aircraft):
         start_from_a_phone(there)
         await asyncio.sleep(0.5)

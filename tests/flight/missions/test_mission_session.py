@@ -185,7 +185,7 @@ async def test_a_program_that_swallows_its_cancellation_cannot_keep_it_in_flight
 
 
 @pytest.mark.parametrize("taken_by", ["pilot", "app"])
-async def test_whoever_takes_the_aircraft_ends_it(taken_by: str) -> None:
+async def test_anybody_who_takes_the_aircraft_ends_it(taken_by: str) -> None:
     async with foreign() as (there, aircraft):
         task = await begun(there, aircraft)
         there.items.add("device")
@@ -197,7 +197,7 @@ async def test_whoever_takes_the_aircraft_ends_it(taken_by: str) -> None:
         with pytest.raises(AuthorityLost) as caught:
             await task
         assert caught.value.reason == ("mode_switch" if taken_by == "pilot" else "app")
-        assert stops(there) == [], "whoever took it flies it"
+        assert stops(there) == [], "the taker flies it"
         await assert_rests(there)
 
 
@@ -248,7 +248,7 @@ async def test_a_pilot_who_is_waited_for_finds_no_mission_that_goes_on() -> None
 
 
 @pytest.mark.parametrize("stop", ["hover", "land"])
-async def test_an_aircraft_that_is_not_heard_any_more_is_told_to_stop(
+async def test_an_aircraft_that_is_not_heard_any_more_is_stopped(
     stop: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     async with foreign() as (there, aircraft):
@@ -374,7 +374,7 @@ async def test_what_the_aircraft_breaks_off_is_raised_with_its_reason(reason: in
         control.send(NORTH)
 
 
-async def test_a_program_that_does_not_look_is_told_when_it_leaves() -> None:
+async def test_a_program_that_does_not_look_gets_the_error_when_it_leaves() -> None:
     async with foreign() as (there, aircraft), aircraft.control() as control:
         with pytest.raises(MissionAborted):
             async with control.waypoint_mission(SLOW):

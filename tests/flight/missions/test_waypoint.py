@@ -1,4 +1,4 @@
-"""A plan that the aircraft flies by itself: uploaded, started, told of, stopped."""
+"""A plan that the aircraft flies by itself: uploaded, started, reported, stopped."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from tests.rig import NORTH
 pytestmark = pytest.mark.anyio
 
 
-async def test_a_plan_is_uploaded_flown_and_told_of_in_order() -> None:
+async def test_a_plan_is_uploaded_flown_and_reported_in_order() -> None:
     async with foreign() as (there, aircraft), aircraft.control() as control:
         uploading: list[Uploading] = []
         events = []

@@ -1,4 +1,4 @@
-"""What a program is told of a waypoint mission, from what is pushed and what is lost of it."""
+"""The events of a waypoint mission, from its pushes and with losses among them."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def flight(points: int = 4) -> list[wire.MissionStatus | wire.WaypointEvent]:
     return [*pushes, FINISHED, idle(), idle()]
 
 
-def test_each_waypoint_is_told_once_and_in_order() -> None:
+def test_each_waypoint_is_reported_once_and_in_order() -> None:
     news = told(WaypointTracker(plan()), *flight())
     assert [n for n in news if isinstance(n, Reached)] == [Reached(i) for i in range(4)]
     assert [n for n in news if isinstance(n, ActionsDone)] == [ActionsDone(i) for i in range(4)]
@@ -72,7 +72,7 @@ def test_no_mission_behind_ours_is_its_end() -> None:
     assert isinstance(news[-1], Over)
 
 
-def test_one_that_was_broken_off_is_told_with_the_reason_and_the_waypoint() -> None:
+def test_one_that_was_broken_off_is_reported_with_the_reason_and_the_waypoint() -> None:
     news = told(WaypointTracker(plan()), status(2), idle(1, 0xD9))
     assert news[-1] == Aborted(0xD9, MissionCode(0xD9).meaning, 2)
     news = told(WaypointTracker(plan()), status(1), idle(1, 0))
@@ -86,7 +86,7 @@ def test_another_kind_of_mission_is_the_end_of_ours() -> None:
     assert isinstance(news, Aborted)
 
 
-def test_a_way_that_is_flown_twice_is_told_twice_and_ended_by_the_status_alone() -> None:
+def test_a_way_that_is_flown_twice_is_reported_twice_and_ended_by_the_status_alone() -> None:
     once = flight()[:-2]
     track = WaypointTracker(plan(repeat=2))
     news = told(track, *once)

@@ -211,7 +211,7 @@ def ground_station(station: Station) -> None:
 
 
 def hold(station: Station) -> None:
-    """Whoever comes sees the mission that still flies, and ends it."""
+    """A station that comes sees the mission that still flies, and ends it."""
     station.wait("HEARTBEAT", custom_mode=4 << 16 | 4 << 24)
     assert station.command(176, 1, 4, 3) == 0
     station.wait("HEARTBEAT", custom_mode=4 << 16 | 3 << 24)

@@ -318,7 +318,7 @@ def test_a_cable_that_is_pulled_leaves_a_hover() -> None:
 
 ENDINGS: dict[str, Callable[[Site, subprocess.Popen[str]], object]] = {
     "the program is killed": lambda _, program: os.killpg(program.pid, signal.SIGKILL),
-    "the bridge is told to end": lambda found, _: found.bridge.terminate(),
+    "the bridge gets SIGTERM": lambda found, _: found.bridge.terminate(),
     "the front is killed": lambda found, _: os.kill(front_of(found), signal.SIGKILL),
     "the pilot takes it": lambda found, _: found.order("rc-mode", "P"),
 }

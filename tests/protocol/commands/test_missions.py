@@ -1,4 +1,4 @@
-"""What is told of missions, in words, metres and degrees."""
+"""The reports of missions, in words, metres and degrees."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from m100link.protocol.commands.waypoint import (
 FIRMWARE = PROFILES["3.1"]
 
 
-def test_a_waypoint_reached_is_told_in_six_bytes_and_read_in_five_as_well() -> None:
+def test_a_waypoint_reached_is_reported_in_six_bytes_and_read_in_five_as_well() -> None:
     told = WaypointEvent(Reached(7, 4))
     assert told.value(FIRMWARE) == b"\x02\x07\x04\0\0\0"
     assert WaypointEvent.parse(b"\x02\x07\x04\0\0\0", FIRMWARE) == told
@@ -71,7 +71,7 @@ def test_a_kind_that_nobody_knows_keeps_its_bytes(
     )
 
 
-def test_what_is_told_is_shown_in_words_metres_and_degrees() -> None:
+def test_what_is_reported_is_shown_in_words_metres_and_degrees() -> None:
     circle = MissionStatus(HotpointStatus(1, radius_cm=2850, rate=115)).fields()
     assert (circle["kind"], circle["status"]) == ("hotpoint", "circling")
     assert (circle["radius_m"], circle["rate_deg_s"]) == (28.5, 11.5)

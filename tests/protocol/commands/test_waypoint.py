@@ -34,7 +34,7 @@ def with_actions(*pairs: tuple[int, int], **others: Any) -> WaypointPoint:
     )
 
 
-def test_a_mission_does_not_fly_on_without_its_remote_control_unless_told() -> None:
+def test_a_mission_does_not_fly_on_without_its_remote_control_unless_ordered() -> None:
     assert MISSION.rc_lost_action == 0
 
 

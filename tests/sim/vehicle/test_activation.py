@@ -175,7 +175,7 @@ def test_any_bundle_id_is_accepted(bundle_id: str) -> None:
     ],
 )
 def test_order_of_the_failure_codes(trouble: dict[str, Any], code: int) -> None:
-    """What is wrong first is told first: version, app, Internet, server, level, new aircraft."""
+    """The first fault is reported first: version, app, Internet, server, level, new aircraft."""
     host = Host(firmware="2.3", level=1)
     host.aircraft.connect_app(internet=trouble.get("internet", True))
     if not trouble.get("app", True):

@@ -74,7 +74,7 @@ def test_a_restart_is_silent_and_forgets_who_was_in_control() -> None:
     silent = vehicle.is_restarting
     assert not silent
     assert vehicle.flight.dynamics.height == pytest.approx(height, abs=0.1)
-    assert vehicle.authority_losses == 0  # nobody is left to be told
+    assert vehicle.authority_losses == 0  # nobody is left to hear it
 
 
 def test_settings_of_the_assistant_take_effect_at_once() -> None:

@@ -94,7 +94,7 @@ async def test_two_that_ask_at_once_ask_the_aircraft_once(rig: Rig) -> None:
     assert rig.states == [S.OBTAINING, S.HELD]
 
 
-async def test_a_refusal_is_told_and_leaves_nothing(rig: Rig) -> None:
+async def test_a_refusal_is_reported_and_leaves_nothing(rig: Rig) -> None:
     rig.aircraft.leave_f()
     await anyio.sleep(0.2)
     with pytest.raises(AuthorityRefused):
@@ -102,7 +102,7 @@ async def test_a_refusal_is_told_and_leaves_nothing(rig: Rig) -> None:
     assert rig.states == [S.OBTAINING, S.NONE]
     rig.aircraft.return_to_f()
     await anyio.sleep(1.0)
-    assert rig.states == [S.OBTAINING, S.NONE]  # the client was told: it asks anew
+    assert rig.states == [S.OBTAINING, S.NONE]  # the client knows: it asks anew
 
 
 async def test_a_lease_that_ends_while_authority_is_obtained_gives_it_back(rig: Rig) -> None:
@@ -244,7 +244,7 @@ SAID = "the agent before may have left"
 
 
 async def killed_in_flight(rig: Rig) -> None:
-    """The aircraft flies and is held, and whoever held it does and says nothing any more."""
+    """The aircraft flies and is held, and its holder does and says nothing any more."""
     await airborne(rig)
     rig.agent.steer(rig.token, NORTH)
     await anyio.sleep(0.1)

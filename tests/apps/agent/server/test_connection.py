@@ -1,4 +1,4 @@
-"""A connection that is kept for fronts: what they are told, and when. Virtual time."""
+"""A connection that is kept for fronts: what they hear, and when. Virtual time."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ pytestmark = pytest.mark.anyio
 
 
 class Plug:
-    """Where an aircraft is plugged in, and what is told of it.
+    """Where an aircraft is plugged in, and what callbacks get of it.
 
     Attributes:
         end: The aircraft, None for none.
@@ -70,7 +70,7 @@ def virtual(seed: int = 1) -> ConnectableAircraft:
     return ConnectableAircraft(seed=seed, firmware="3.1")
 
 
-async def test_what_is_not_there_is_tried_every_second_and_told_once() -> None:
+async def test_what_is_not_there_is_tried_every_second_and_reported_once() -> None:
     async with kept(None) as plug:
         await asyncio.sleep(10.5)
         assert plug.texts == ["not connected: nothing is plugged in"]
@@ -84,7 +84,7 @@ async def test_what_is_not_there_is_tried_every_second_and_told_once() -> None:
         assert plug.connection.version is not None
 
 
-async def test_a_loss_is_told_at_once_and_telemetry_goes_on_behind_it() -> None:
+async def test_a_loss_is_reported_at_once_and_telemetry_goes_on_behind_it() -> None:
     end = virtual()
     async with kept(end) as plug:
         await until(lambda: len(plug.samples) > 10)
@@ -115,7 +115,7 @@ async def test_an_aircraft_that_is_switched_off_behind_an_open_line_is_lost() ->
         await until(lambda: plug.is_in(ConnectionState.CONNECTED))
 
 
-async def test_another_aircraft_is_told_and_then_taken() -> None:
+async def test_another_aircraft_is_reported_and_then_taken() -> None:
     async with kept(virtual()) as plug:
         await until(lambda: plug.is_in(ConnectionState.CONNECTED))
         first = plug.connection.require_aircraft()

@@ -1,4 +1,4 @@
-"""A plan in pieces, and what is told of its mission."""
+"""A plan in pieces, and the reports of its mission."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_what_djis_push_says_of_an_event(
 
 
 @pytest.mark.anyio
-async def test_what_a_mission_reaches_is_told_to_people() -> None:
+async def test_what_a_mission_reaches_is_reported_to_people() -> None:
     async with Rig(firmware="3.1").running() as rig:
         await airborne(rig)
         state = rig.agent.connection.require_aircraft().state.position

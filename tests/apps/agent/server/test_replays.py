@@ -160,7 +160,7 @@ async def test_that_its_place_moves_does_not_tell_the_state_more_often(path: Pat
         known = client.state.at
         await client.ask(orders.OrderReplay("pause"))
         await asyncio.sleep(0.01)
-        assert client.state.at > known, "what people change is told at once"
+        assert client.state.at > known, "a change by people is sent at once"
 
 
 async def test_an_aircraft_is_not_moved_in_time() -> None:

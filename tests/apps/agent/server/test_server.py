@@ -182,13 +182,13 @@ async def test_a_front_knows_the_limits_and_from_where_they_are_measured(
     assert during.longitude_deg == pytest.approx(settings.longitude_deg, abs=1e-6)
 
 
-def test_a_limit_that_is_off_is_told_as_none() -> None:
+def test_a_limit_that_is_off_is_reported_as_none() -> None:
     open_above = Guards(envelope=Envelope(max_height_m=math.inf), battery_floor_percent=None)
     assert limits_of(open_above, (1.0, 2.0)) == GuardLimits(None, 150.0, 10.0, None, 1.0, 2.0)
     assert limits_of(Guards(envelope=None), None) == GuardLimits(battery_floor_percent=20)
 
 
-async def test_the_state_is_told_before_the_outcome(rig: Rig, service: AgentServer) -> None:
+async def test_the_state_is_reported_before_the_outcome(rig: Rig, service: AgentServer) -> None:
     front = Front(rig, service)
     front.send(Ask(1, orders.Obtain(), front.lease().number))
     await front.outcome(1)
@@ -374,7 +374,7 @@ async def test_a_note_is_one_line_that_no_terminal_obeys(rig: Rig, service: Agen
     assert told.endswith("connection lost: größer")
 
 
-async def test_telemetry_of_a_profile_of_ones_own_is_not_told_under_a_known_name(
+async def test_telemetry_of_a_profile_of_ones_own_is_not_reported_under_a_known_name(
     rig: Rig, service: AgentServer
 ) -> None:
     front = Front(rig, service)
@@ -433,7 +433,7 @@ async def test_a_flight_to_a_place_by_messages(rig: Rig, service: AgentServer) -
     front.send(Ask(7, order, fence, hears_begin=True))
     await front.outcome(7, Stage.ACCEPTED)
     await anyio.sleep(2.0)
-    for one in (front, watcher):  # whoever draws it
+    for one in (front, watcher):  # whichever draws it
         guided = one.all(State)[-1].guided
         assert guided is not None
         assert (guided.latitude_deg, guided.longitude_deg) == (
@@ -510,7 +510,7 @@ async def test_a_flight_that_is_heard_together_with_a_halt_before_it_is_flown(
     assert speed_of(rig) > 3.0
 
 
-async def test_a_plan_is_told_to_all_until_its_lease_ends() -> None:
+async def test_a_plan_is_sent_to_all_until_its_lease_ends() -> None:
     async with Rig(firmware="3.1").running() as rig:
         rig.agent.leases.release(rig.token, rig.agent.now)
         service = AgentServer(rig.agent)
@@ -537,7 +537,7 @@ PLANS = [
 
 
 class Flies:
-    """What flies: keeps what it is told to do."""
+    """What flies: keeps its orders."""
 
     def __init__(self) -> None:
         self.calls: list[tuple[Any, ...]] = []
@@ -667,7 +667,7 @@ async def begin(flown: Flown, front: Front, fence: int) -> None:
         *(Flown.MISSION, Flown.LAND),
     ],
 )
-async def test_who_loses_the_lease_is_told_what_was_flown(flown: Flown) -> None:
+async def test_the_loser_of_the_lease_hears_what_was_flown(flown: Flown) -> None:
     async with Rig(firmware="3.1").running() as rig:
         rig.agent.leases.release(rig.token, rig.agent.now)
         service = AgentServer(rig.agent)

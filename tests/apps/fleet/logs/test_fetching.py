@@ -109,7 +109,7 @@ async def test_an_agent_that_knows_no_logs_is_said_with_what_to_do(road: Road) -
         await road.fetcher().logs()
 
 
-async def test_a_log_that_is_removed_meanwhile_is_told(road: Road, tmp_path: Path) -> None:
+async def test_a_log_that_is_removed_meanwhile_is_reported(road: Road, tmp_path: Path) -> None:
     async with serving(road):
         gone = Steps(2 * PIECE, (road.shelf / FIRST).unlink)
         with pytest.raises(UsageError, match=r"No such file.*131,072 of"):
@@ -172,7 +172,7 @@ async def test_a_log_that_changes_on_board_is_not_said_to_be_whole(
     assert not any((tmp_path / name).exists() for name in (WHOLE, f"{WHOLE}.part"))
 
 
-async def test_a_log_that_becomes_shorter_is_told(road: Road, tmp_path: Path) -> None:
+async def test_a_log_that_becomes_shorter_is_reported(road: Road, tmp_path: Path) -> None:
     def cut() -> None:
         (road.shelf / FIRST).write_bytes(bytes_of(300_000)[: PIECE + 5])
 
@@ -240,7 +240,7 @@ async def test_what_an_aircraft_names_does_not_lead_out_of_the_folder(
         await road.fetcher().fetch("../../evil.mcap", to=tmp_path)
 
 
-async def test_a_name_that_is_not_there_is_told_with_what_to_do(road: Road) -> None:
+async def test_a_name_that_is_not_there_is_reported_with_what_to_do(road: Road) -> None:
     async with serving(road):
         with pytest.raises(UsageError) as caught:
             await road.fetcher().fetch(SECOND)

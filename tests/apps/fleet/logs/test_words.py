@@ -70,7 +70,7 @@ def test_a_name_that_no_recorder_gives_is_no_log(name: str) -> None:
 
 @pytest.mark.parametrize("at", [-1.0, 1e12, 1e300])
 def test_a_log_of_no_time_is_not_listed(at: float) -> None:
-    """Whoever shows a list says dates."""
+    """A shown list has dates."""
     assert unpack_entries(pack_entries([LogEntry(NAME, 3, at, False)])) == []
 
 
@@ -186,7 +186,7 @@ def test_the_file_of_before_stays_until_the_new_one_is_whole(tmp_path: Path) -> 
 def test_a_log_that_is_there_is_on_the_disk(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Whoever has fetched it may remove it on board."""
+    """A client that has fetched it may remove it on board."""
     disk = Disk(monkeypatch, tmp_path)
     part = opened(tmp_path)
     part.add(b"abc")
@@ -197,7 +197,7 @@ def test_a_log_that_is_there_is_on_the_disk(
     assert disk.files["a1-x.mcap"] == b"abcdef", "and under its name"
 
 
-def test_a_disk_that_takes_no_more_is_told_and_what_came_stays(tmp_path: Path) -> None:
+def test_a_disk_that_takes_no_more_is_reported_and_what_came_stays(tmp_path: Path) -> None:
     import signal
 
     part = opened(tmp_path, size=1 << 20)
@@ -214,7 +214,7 @@ def test_a_disk_that_takes_no_more_is_told_and_what_came_stays(tmp_path: Path) -
     assert (tmp_path / "a1-x.mcap.part").stat().st_size == part.at == 1000
 
 
-def test_a_folder_that_cannot_be_is_told(tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_is_reported(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(UsageError, match="--to"):
         LogPart(tmp_path / "file" / "below", "x")

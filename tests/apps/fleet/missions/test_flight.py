@@ -41,7 +41,7 @@ async def told(mission: FleetMission) -> list[MissionEvent]:
         pytest.param(Weather(delay_s=1.0), id="long way"),
     ],
 )
-async def test_all_of_it_is_told_in_its_order(rig: Rig, weather: Weather) -> None:
+async def test_all_of_it_is_reported_in_its_order(rig: Rig, weather: Weather) -> None:
     one = await on_board(rig)
     rig.network.weather = weather
     async with (await rig.pilot())["a1"].control() as control:
@@ -85,7 +85,7 @@ async def test_with_a_landing_at_the_end_it_is_over_on_the_ground(rig: Rig) -> N
     assert one.height < 0.1
 
 
-async def test_paused_resumed_and_stopped_are_told(rig: Rig) -> None:
+async def test_paused_resumed_and_stopped_are_reported(rig: Rig) -> None:
     one = await on_board(rig)
     async with (await rig.pilot())["a1"].control() as control:
         async with control.waypoint_mission(away(one, 20, 140), take_off=True) as mission:

@@ -260,7 +260,7 @@ async def test_a_mission_is_paused_and_goes_on_and_its_card_says_so(rig: Rig) ->
         assert (await pilot["a1"].mission()).index == 1
 
 
-async def test_a_refusal_of_the_aircraft_is_told_and_leaves_it_on_the_ground(rig: Rig) -> None:
+async def test_a_refusal_of_the_aircraft_is_reported_and_leaves_it_on_the_ground(rig: Rig) -> None:
     one = await rig.aircraft("a1")  # firmware 1.0 flies none
     pilot = await rig.pilot()
     results = {}
@@ -364,7 +364,7 @@ async def test_the_next_agent_ends_the_mission_and_does_what_lost_says(
             await rig.until(lambda: one.speed > 2.0)
             one.kill()
             await anyio.sleep(60.0)
-    assert one.speed > 1.0, "nobody told the aircraft to stop"
+    assert one.speed > 1.0, "nobody ordered the mission to stop"
     second = await one.next(lost=plan)
     await rig.until(lambda: second.speed < 0.3, within=5.0)
     assert kind(second) == "no mission"

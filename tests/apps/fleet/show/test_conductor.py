@@ -45,7 +45,7 @@ RIGHTS = Rights.parse(
 
 
 class Company:
-    """Aircraft at their places with their agents, and what is told."""
+    """Aircraft at their places with their agents, and the reports."""
 
     def __init__(self, rig: Rig, count: int) -> None:
         self.rig = rig
@@ -143,7 +143,7 @@ async def test_one_that_is_cut_off_flies_on_and_one_that_is_killed_hovers(rig: R
         await anyio.sleep(9.0)
         cut, killed, _ = made.on_board
         rig.network.cut(cut.bus)
-        made.services[1].cancel()  # whoever performs has gone, and the aircraft is not flown on
+        made.services[1].cancel()  # its executor has gone, and the aircraft is not flown on
         rig.network.cut(killed.bus)
         await anyio.sleep(2.0)
         assert killed.speed < 0.3
@@ -307,10 +307,10 @@ async def test_a_second_show_with_one_of_them_is_refused_and_the_first_goes_on(r
         assert stages(await conducting) == [ShowStage.FLOWN] * 2
 
 
-async def test_when_not_all_were_told_to_begin_none_begins(
+async def test_when_not_all_were_ordered_to_begin_none_begins(
     rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Whoever conducts is killed in between: one would fly where the other one still hovers."""
+    """The conductor is killed in between: one would fly where the other one still hovers."""
     async with company(rig, 2) as made:
         conductor = made.conductor(leave="hover")
         start = conductor._start
@@ -332,7 +332,7 @@ async def test_when_not_all_were_told_to_begin_none_begins(
         assert dist(made.places()[0], place) < 0.3
 
 
-async def test_a_clock_that_is_set_in_flight_ends_no_show_and_what_it_costs_is_told(
+async def test_a_clock_that_is_set_in_flight_ends_no_show_and_what_it_costs_is_reported(
     rig: Rig,
 ) -> None:
     """Orders are signed with the time of day; tracks are flown by a clock that nobody sets."""
@@ -380,7 +380,7 @@ async def test_of_two_one_that_is_killed_is_not_flown_into(rig: Rig, at: float) 
 
 
 @pytest.mark.parametrize(("at", "leave"), [(3.0, "hover"), (11.0, "land"), (11.0, "hover")])
-async def test_when_nobody_hears_anybody_no_two_meet_whoever_leaves(
+async def test_when_nobody_hears_anybody_no_two_meet_whichever_leaves(
     rig: Rig, at: float, leave: Leave
 ) -> None:
     """The router is gone: each has to count on the other to be killed, to fly on, or to leave."""

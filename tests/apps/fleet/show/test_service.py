@@ -81,7 +81,7 @@ async def asked(rig: Rig) -> Any:
     made.running.cancel()
 
 
-async def test_where_it_stands_is_told_with_every_answer(asked: Conductor) -> None:
+async def test_where_it_stands_is_reported_with_every_answer(asked: Conductor) -> None:
     reply = await asked.order(AskShow(""))
     assert reply.outcome is Outcome.OK
     assert reply.show == ShowCard(ShowStage.EMPTY, "", 0.0, "")

@@ -180,7 +180,7 @@ async def test_no_network_is_needed_once_it_flies(stand: Stand) -> None:
 
 
 @pytest.mark.parametrize("leave", ["hover", "land"])
-async def test_out_of_its_tube_it_leaves_as_it_was_told(stand: Stand, leave: Leave) -> None:
+async def test_out_of_its_tube_it_leaves_as_it_was_ordered(stand: Stand, leave: Leave) -> None:
     performer = await stand.to(FLYING, leave=leave)
     await anyio.sleep(5.0)
     await stand.blown_off(performer)
@@ -189,7 +189,7 @@ async def test_out_of_its_tube_it_leaves_as_it_was_told(stand: Stand, leave: Lea
     await anyio.sleep(15.0)
     assert (stand.one.height == 0.0) == (leave == "land")
     assert stand.one.speed < 0.1
-    assert stand.one.client.holder.number == 0, "whoever comes next may have control"
+    assert stand.one.client.holder.number == 0, "the next client may have control"
 
 
 async def test_stop_by_anybody_ends_what_has_not_taken_off_yet(stand: Stand) -> None:
@@ -203,7 +203,7 @@ async def test_stop_by_anybody_ends_what_has_not_taken_off_yet(stand: Stand) -> 
     assert stand.one.height == 0.0
 
 
-async def test_one_that_lands_because_it_left_lands_on_whatever_else_it_is_told(
+async def test_one_that_lands_because_it_left_lands_on_whatever_else_is_ordered(
     stand: Stand,
 ) -> None:
     """The conductor lets all leave because one did: that one is not to hover half-way down."""
@@ -234,7 +234,7 @@ async def test_stop_by_anybody_ends_it_and_it_does_not_even_land(
     assert stand.one.speed < 0.1
 
 
-async def test_whoever_takes_over_has_the_aircraft(stand: Stand) -> None:
+async def test_the_client_that_takes_over_has_the_aircraft(stand: Stand) -> None:
     performer = await stand.to(FLYING, leave="land")
     await anyio.sleep(4.0)
     pilot = await stand.rig.pilot("bert")
@@ -253,7 +253,7 @@ async def test_the_pilot_who_leaves_f_has_it(stand: Stand) -> None:
     assert stand.one.height > 2.0
 
 
-async def test_who_took_it_is_told_also_when_a_setpoint_was_refused_first(stand: Stand) -> None:
+async def test_the_taker_is_reported_also_when_a_setpoint_was_refused_first(stand: Stand) -> None:
     performer, client = await stand.to(FLYING), stand.one.client
     await anyio.sleep(1.0)
     for callback in client.on_steer_refused:
@@ -316,7 +316,7 @@ async def test_a_track_of_another_or_of_none(stand: Stand) -> None:
         (await stand.to(READY)).start("0" * 64, stand.one.client.now + 2.0, 0.0)
 
 
-async def test_whoever_stands_elsewhere_never_takes_off(stand: Stand) -> None:
+async def test_an_aircraft_that_stands_elsewhere_never_takes_off(stand: Stand) -> None:
     performer = stand.performer
     performer.load(track("a1", (0, 5, 0, 4), (8, 12, 0, 5)).to_bytes(), "land")
     performer.place("anna")
@@ -366,7 +366,7 @@ async def test_whenever_it_leaves_nobody_has_control_then(stand: Stand) -> None:
         assert not client.state.has_authority, (seed, attempt)
 
 
-async def test_what_is_no_number_is_neither_flown_by_nor_told_to_the_others() -> None:
+async def test_what_is_no_number_is_neither_flown_by_nor_sent_to_the_others() -> None:
     """A place of NaN is near to nobody: the others would fly into it."""
     state = AircraftState(lambda: 0.25)
     state.update(known.sample(changed=[Attitude(math.nan, 0, 0, 1), Velocity(math.nan, 1, 2, 7)]))

@@ -449,7 +449,7 @@ def test_it_is_written_once_in_a_while_and_at_once_for_somebody_new(tmp_path: Pa
     assert memory.due() is not None
 
 
-def test_a_disk_that_does_not_take_it_is_told(tmp_path: Path) -> None:
+def test_a_disk_that_does_not_take_it_is_reported(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     signer = PacketSigner(KEY)
     memory = SignatureMemory(tmp_path / "file" / "folder", signer)

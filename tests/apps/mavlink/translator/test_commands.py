@@ -291,7 +291,7 @@ def test_a_mission_begins_with_its_item(message: MavlinkMessage, first: int | No
 
 
 @pytest.mark.parametrize("number", [NAN, -1.0, 0xFFFFFF])
-def test_the_rate_of_what_is_no_message_is_not_told(number: float) -> None:
+def test_the_rate_of_what_is_no_message_is_not_reported(number: float) -> None:
     assert Asked().ask(long(510, number)) is MavResult.UNSUPPORTED
 
 

@@ -241,7 +241,7 @@ def test_a_wish_over_a_take_off_whose_motors_stand(mode: Mode) -> None:
         assert flies(manager) is FlightSource.TAKE_OFF
     assert manager.disarm(PEER) is MavResult.ACCEPTED
     assert manager.orders == [CancelTakeOff()], "once"
-    assert manager.mode is Mode.HOLD, "whoever disarms waits for no landing"
+    assert manager.mode is Mode.HOLD, "an order to disarm waits for no landing"
 
 
 @pytest.mark.parametrize("phase", VehiclePhase)
@@ -317,7 +317,7 @@ def test_an_aircraft_that_does_not_pause_or_go_on_loses_what_it_flies(
     assert "no answer" in told[0][1]
 
 
-def test_what_is_told_to_a_mission_late_is_not_told_at_all() -> None:
+def test_an_order_that_comes_late_to_a_mission_is_not_sent_at_all() -> None:
     manager, _, told = manager_in(VehiclePhase.AIRBORNE)
     flights = flights_of(manager, told)
     let_fly(manager, FlightSource.PAUSED)
@@ -519,7 +519,7 @@ def test_what_ends_a_landing_gives_control_back_itself_and_goes_on() -> None:
     assert manager.orders == ending
 
 
-def test_a_stop_of_somebody_else_ends_the_stream_and_a_guard_is_told() -> None:
+def test_a_stop_of_somebody_else_ends_the_stream_and_a_guard_is_named() -> None:
     manager, _, told = manager_in(VehiclePhase.AIRBORNE)
     manager.request_mode(ModeRequest(Mode.OFFBOARD, None, PEER), 0.0)
     manager.steer_refused(GuardRefused("too far", guard="envelope"))

@@ -490,8 +490,8 @@ async def test_who_does_not_know_where_it_is_flies_on_before_no_fence(
     assert "hold: the distance to the fence is unknown" in ground.texts
 
 
-async def test_what_is_told_late_leads_nobody_out_of_a_fence(rig: Rig, ground: Ground) -> None:
-    """It flies 18 m/s when nothing is told for 0.9 s, just before it would be held."""
+async def test_a_late_report_leads_nobody_out_of_a_fence(rig: Rig, ground: Ground) -> None:
+    """It flies 18 m/s when nothing is reported for 0.9 s, just before it would be held."""
     await upload_fence(ground, *corners((-20, -20), (120, -20), (120, 20), (-20, 20)))
     await ground.fly(5.0)
     while rig.aircraft.position[0] < 86.0:

@@ -174,7 +174,7 @@ def attitude(
     return MavlinkMessage("SET_ATTITUDE_TARGET", fields | rates | given)
 
 
-# Right wing down and nose up are positive, as in the attitude that is told.
+# Right wing down and nose up are positive, as in the reported attitude.
 @pytest.mark.parametrize(
     ("given", "expected"),
     [
@@ -366,7 +366,7 @@ def test_the_agents_limit_is_the_fastest_of_sticks() -> None:
 
 
 @pytest.mark.parametrize("is_tilt", [False, True])
-def test_sticks_that_are_told_no_more_are_let_go(is_tilt: bool) -> None:
+def test_sticks_that_are_sent_no_more_are_let_go(is_tilt: bool) -> None:
     one = manual(is_tilt=is_tilt)
     assert one.setpoint(10.0) is None
     assert not one.is_fresh(10.0)

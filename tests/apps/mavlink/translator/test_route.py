@@ -193,7 +193,7 @@ def test_a_wait_is_made_of_those_that_the_wire_can_say(wait: float, parts: int) 
         ([planned(4)], None, ""),
     ],
 )
-def test_what_the_aircraft_cannot_fly_is_told_by_its_item(
+def test_what_the_aircraft_cannot_fly_is_reported_by_its_item(
     legs: list[RoutePoint], yaw: float | None, why: str
 ) -> None:
     with pytest.raises(Unfit) as caught:

@@ -1,4 +1,4 @@
-"""What is told of the aircraft, as a table: values in, values out by common.xml of MAVLink.
+"""The messages about the aircraft, as a table: values in, values out by common.xml of MAVLink.
 
 Each row says sign, unit, frame and scale as the definitions have them, not as the bridge does.
 """
@@ -137,7 +137,7 @@ def test_the_table_has_every_stream() -> None:
 
 
 @pytest.mark.parametrize("name", TABLE)
-def test_what_is_told_of_an_aircraft_whose_numbers_all_differ(name: str) -> None:
+def test_what_is_reported_of_an_aircraft_whose_numbers_all_differ(name: str) -> None:
     found, expected = told(name, Known()), dict(TABLE[name])
     for place in ("latitude", "longitude"):  # of home: where that is, see the one below
         if place in expected:
@@ -237,7 +237,7 @@ def test_without_home_nothing_is_measured_from_it(name: str) -> None:
     assert told(name, Known(), None) is None
 
 
-def test_on_the_ground_no_place_is_told_before_home_is_known() -> None:
+def test_on_the_ground_no_place_is_reported_before_home_is_known() -> None:
     assert told("GLOBAL_POSITION_INT", Known(), None) is not None
     assert told("GLOBAL_POSITION_INT", Known(FlightStatus(1)), None) is None
 
@@ -516,7 +516,7 @@ async def test_a_peer_that_asks_for_a_kilohertz_changes_nothing_for_another(
     assert other.last("MESSAGE_INTERVAL")["interval_us"] == 50_000
     assert await ground.ask(MavCommand.GET_MESSAGE_INTERVAL, number) is MavResult.ACCEPTED
     assert ground.last("MESSAGE_INTERVAL")["interval_us"] == -1
-    number = LAYOUTS["ATTITUDE"].number  # asked for each millisecond, and told what it gets
+    number = LAYOUTS["ATTITUDE"].number  # asked for each millisecond; the answer is its rate
     assert await ground.ask(MavCommand.GET_MESSAGE_INTERVAL, number) is MavResult.ACCEPTED
     assert ground.last("MESSAGE_INTERVAL")["interval_us"] == 20_000
 
@@ -601,7 +601,7 @@ def texts_of(text: str) -> list[tuple[str, int]]:
         ("two\n lines\t and  ü", ["two lines and ?"]),
     ],
 )
-def test_a_text_is_told_in_parts_of_fifty(text: str, parts: list[str] | None) -> None:
+def test_a_text_is_sent_in_parts_of_fifty(text: str, parts: list[str] | None) -> None:
     expected = [text[begin : begin + 50] for begin in range(0, 200, 50)] if parts is None else parts
     assert texts_of(text) == [(part, number) for number, part in enumerate(expected)]
 

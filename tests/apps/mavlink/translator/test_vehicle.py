@@ -76,7 +76,7 @@ async def test_a_message_is_sent_when_it_is_asked_for(ground: Ground, name: str)
 
 
 @pytest.mark.parametrize("asked", [280, 397, 0x7FFFFF, -1, 1e30])
-async def test_a_message_that_is_not_there_is_told(ground: Ground, asked: float) -> None:
+async def test_a_message_that_is_not_there_is_reported(ground: Ground, asked: float) -> None:
     assert await ground.ask(MavCommand.REQUEST_MESSAGE, asked) is MavResult.UNSUPPORTED
 
 
@@ -132,7 +132,9 @@ async def test_an_aircraft_that_is_not_heard_is_silent(rig: Rig, ground: Ground)
     assert {one.name for one in ground.heard} <= {"STATUSTEXT"}
 
 
-async def test_a_switch_out_of_f_is_shown_and_arming_told_why_not(rig: Rig, ground: Ground) -> None:
+async def test_a_switch_out_of_f_is_shown_and_a_refused_arming_says_why(
+    rig: Rig, ground: Ground
+) -> None:
     rig.aircraft.set_rc_mode(RcMode.A)
     await rig.until(lambda: ground.mode is Mode.ALTCTL)
     assert not ground.armed()
@@ -254,7 +256,7 @@ async def test_the_version_has_its_numbers(ground: Ground) -> None:
     assert version["flight_custom_version"][7] < 100
 
 
-async def test_a_version_is_told_from_its_last_number_on(
+async def test_a_version_is_read_from_its_last_number_on(
     ground: Ground, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("m100link.apps.mavlink.translator.vehicle.__version__", "3.17.203")
@@ -262,7 +264,7 @@ async def test_a_version_is_told_from_its_last_number_on(
     assert ground.last("AUTOPILOT_VERSION")["flight_custom_version"] == (0, 0, 0, 0, 0, 203, 17, 3)
 
 
-async def test_an_activation_that_is_refused_is_told(rig: Rig, ground: Ground) -> None:
+async def test_an_activation_that_is_refused_is_reported(rig: Rig, ground: Ground) -> None:
     rig.aircraft.app.disconnect()
     assert await ground.ask(MavCommand.COMPONENT_ARM_DISARM, 1) is MavResult.TEMPORARILY_REJECTED
     assert not ground.armed()
@@ -310,7 +312,7 @@ async def test_the_sticks_of_a_station_fly_for_that_station(rig: Rig, ground: Gr
 
 
 @pytest.mark.parametrize(("asked_us", "told_us"), [(40_000, 40_000), (-1, -1), (0, 50_000)])
-async def test_an_interval_is_told_in_microseconds(
+async def test_an_interval_is_reported_in_microseconds(
     ground: Ground, asked_us: int, told_us: int
 ) -> None:
     """Never is -1; by default it comes 20 times a second."""

@@ -104,7 +104,7 @@ def test_control_that_came_back_before_somebody_looked_was_lost() -> None:
     assert [*phases, one.phase] == [VehiclePhase.FREE, VehiclePhase.AIRBORNE]
 
 
-def test_nothing_begins_before_the_deck_was_told_that_control_is_held() -> None:
+def test_nothing_begins_before_the_manager_knows_that_control_is_held() -> None:
     """What was asked for in between was forgotten by the answer, and flown all the same."""
     one = world(GROUND, F, holder=3, lease=3, authority=True)
     one.session.feed(ControlInput.OBTAIN)

@@ -146,7 +146,7 @@ def test_sticks_have_their_sign_and_their_channel(shown: dict[str, Any]) -> None
     assert not any(one["stale"] for one in shown["bars"].values())
 
 
-def test_what_is_not_told_is_crossed_out(drawn: dict[str, dict[str, Any]]) -> None:
+def test_what_is_not_reported_is_crossed_out(drawn: dict[str, dict[str, Any]]) -> None:
     found = drawn["nothing"]
     assert found["stale"] == "stale"
     words = for_browser(Translator())["words"]

@@ -364,7 +364,7 @@ class Desk:
         self.looks.say(self.person, HERE, self.rig.front, is_free=is_free)
 
     def said_at(self, secret: str | None = None, aircraft: str = HERE) -> float | None:
-        """What a page that is loaded anew, with that secret, is told."""
+        """The state of a page that is loaded anew with that secret."""
         person = self.looks.person(self.person if secret is None else secret)
         return self.looks.said_at(person, aircraft, self.rig.front, self.history)
 
@@ -429,7 +429,7 @@ async def fall_silent(rig: Rig) -> None:
 
 
 @pytest.mark.parametrize("happens", [fly, unplug, fall_silent])
-async def test_whoever_may_have_come_to_another_place_has_to_be_looked_at(
+async def test_an_aircraft_that_may_be_at_another_place_has_to_be_looked_at(
     desk: Desk, happens: Callable[[Rig], Awaitable[None]]
 ) -> None:
     desk.say()

@@ -687,11 +687,11 @@ async def test_what_ones_own_stop_ended_is_no_problem(rig: Rig, whose: str) -> N
     assert browser.problem
 
 
-# -- the page is told what became of a press -------------------------------------------------------
+# -- the page hears the outcome of a press ---------------------------------------------------------
 
 
 async def hold(browser: Browser, seconds: float, **axes: float) -> list[str]:
-    """Beats for a time; what was told of each."""
+    """Beats for a time; the reports of each."""
     told = []
     for _ in range(round(seconds / 0.05)):
         answer = browser.beat(1, **axes)
@@ -731,7 +731,7 @@ async def test_a_pilot_who_takes_it_ends_what_is_flown(rig: Rig) -> None:
     assert (await hold(browser, 1.0, x=-4))[-1] == Fate.NO_CONTROL
 
 
-async def test_what_is_held_through_stop_is_told_as_such(rig: Rig) -> None:
+async def test_what_is_held_through_stop_is_reported_as_such(rig: Rig) -> None:
     browser = await airborne(rig)
     assert (await hold(browser, 0.5, x=-4))[-1] == Fate.FLOWN
     await browser.tab.stop()
@@ -740,7 +740,7 @@ async def test_what_is_held_through_stop_is_told_as_such(rig: Rig) -> None:
     assert (await hold(browser, 0.5, x=-4))[-1] == Fate.FLOWN
 
 
-async def test_late_beats_are_told_as_slow(rig: Rig) -> None:
+async def test_late_beats_are_reported_as_slow(rig: Rig) -> None:
     browser = await airborne(rig)
     await hold(browser, 0.5, x=-4)
     waiting = [browser.message("beat", mode=1, x=-4, y=0, z=0, w=0) for _ in range(3)]
@@ -752,7 +752,7 @@ async def test_late_beats_are_told_as_slow(rig: Rig) -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
-async def test_flown_is_told_only_while_the_tab_flies(rig: Rig, seed: int) -> None:
+async def test_flown_is_reported_only_while_the_tab_flies(rig: Rig, seed: int) -> None:
     """Drawn: whatever happens in whatever order, "flown" means control, in the air, not refused."""
     chance = random.Random(seed)
     browser = await airborne(rig)
@@ -784,7 +784,7 @@ async def test_flown_is_told_only_while_the_tab_flies(rig: Rig, seed: int) -> No
     for _ in range(60):
         await chance.choice(events)()
         await hold(browser, chance.uniform(0.0, 0.3), x=-1)
-        fates = await hold(browser, 0.3, x=-1)  # for so long what was true may be told on
+        fates = await hold(browser, 0.3, x=-1)  # for so long an old report may last
         flown += fates.count(Fate.FLOWN)
         if fates and fates[-1] == Fate.FLOWN:
             assert tab.session.has_lease

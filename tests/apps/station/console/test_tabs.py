@@ -140,7 +140,7 @@ async def test_tabs_that_are_alive_are_not_turned_out(rig: Rig, places: int) -> 
     assert all(page.is_open for page in pages)
 
 
-async def test_whoever_steers_needs_no_place_and_loses_none(rig: Rig, places: int) -> None:
+async def test_a_steering_client_needs_no_place_and_loses_none(rig: Rig, places: int) -> None:
     tabs = Tabs({"m100": rig.front})
     pages = [Page(rig, tabs) for _ in range(places)]
     await anyio.sleep(0.1)

@@ -169,7 +169,7 @@ def test_what_cannot_be_answered_fails_and_says_why(name: str, args: Any) -> Non
 # -- events are a topic ----------------------------------------------------------------------------
 
 
-async def test_each_event_is_told_with_its_level(rig: Rig) -> None:
+async def test_each_event_is_reported_with_its_level(rig: Rig) -> None:
     client = rig.client()
     client.subscribe("/rosout")
     rig.agent.journal.note("a thing happened")

@@ -84,7 +84,9 @@ async def test_of_two_clients_that_share_a_token_either_ends_it_for_both(
     assert not answer["success"]
 
 
-async def test_who_is_taken_over_is_told_by_whom_and_who_let_go_is_told_nothing(rig: Rig) -> None:
+async def test_a_client_taken_over_hears_by_whom_and_one_that_let_go_hears_nothing(
+    rig: Rig,
+) -> None:
     client, other = await rig.open("page"), rig.client("other")
     wanted = await ask(other, "take_over")
     confirmed = await ask(other, "confirm", token=wanted["token"])

@@ -111,7 +111,7 @@ async def test_take_off_and_landing(rig: Rig) -> None:
     assert page.statuses() == []
 
 
-async def test_a_second_command_while_one_runs_is_told_and_not_sent(rig: Rig) -> None:
+async def test_a_second_command_while_one_runs_is_reported_and_not_sent(rig: Rig) -> None:
     page = await rig.open()
     page.publish("/sdk_request_cmd", data=4)
     page.publish("/sdk_request_cmd", data=6)

@@ -80,7 +80,7 @@ async def test_one_rate_turns_it_for_half_a_second(rig: Rig) -> None:
     ("values", "words"),
     [({"pitch": 45}, "pitch"), ({"yaw": 400}, "yaw"), ({"pitch": None}, "pitch")],
 )
-async def test_what_the_gimbal_does_not_have_is_told_and_not_sent(
+async def test_what_the_gimbal_does_not_have_is_reported_and_not_sent(
     rig: Rig, values: dict[str, float | None], words: str
 ) -> None:
     page = rig.client()
@@ -91,7 +91,7 @@ async def test_what_the_gimbal_does_not_have_is_told_and_not_sent(
 
 
 @pytest.mark.parametrize("number", [0, 1, 2])
-async def test_the_camera_is_told_without_control(rig: Rig, number: int) -> None:
+async def test_the_camera_is_ordered_without_control(rig: Rig, number: int) -> None:
     camera = rig.aircraft.vehicle.camera
     camera.is_recording = number == 2
     assert await answer(rig, rig.client(), "camera_action", camera_action=number) == {
@@ -102,7 +102,7 @@ async def test_the_camera_is_told_without_control(rig: Rig, number: int) -> None
     assert not rig.aircraft.vehicle.authority.is_requested
 
 
-async def test_who_has_no_control_does_not_turn_the_camera_of_whoever_has(rig: Rig) -> None:
+async def test_a_client_without_control_does_not_turn_the_camera_of_the_holder(rig: Rig) -> None:
     flying, other = await rig.open("first"), rig.client("second")
     failed = await answer(rig, other, "camera_action", camera_action=0)
     assert failed["result"] is False
@@ -204,7 +204,7 @@ async def test_those_services_refuse_what_the_gimbal_does_not_have(
     assert sent(rig, GimbalAngle) == sent(rig, GimbalSpeed) == []
 
 
-async def test_those_services_leave_the_camera_to_whoever_flies(rig: Rig) -> None:
+async def test_those_services_leave_the_camera_to_the_flying_client(rig: Rig) -> None:
     await rig.open("first")
     for service in ("gimbal_angle_control", "gimbal_speed_control", "camera_action_control"):
         failed = await answer(rig, rig.client("second"), service)

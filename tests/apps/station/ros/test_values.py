@@ -279,7 +279,7 @@ def test_the_table_has_every_topic() -> None:
 
 
 @pytest.mark.parametrize("name", PUBLISHED)
-def test_what_is_told_of_an_aircraft_whose_numbers_all_differ(name: str) -> None:
+def test_what_is_reported_of_an_aircraft_whose_numbers_all_differ(name: str) -> None:
     found = told()[name]
     if "quaternion" in found or "orientation" in found:
         turned = found.get("quaternion") or found["orientation"]
@@ -305,7 +305,7 @@ def test_what_is_told_of_an_aircraft_whose_numbers_all_differ(name: str) -> None
         (Battery, {"battery_state"}),
     ],
 )
-def test_what_a_package_has_not_is_not_told(record: type[Any], silent: set[str]) -> None:
+def test_what_a_package_has_not_is_not_reported(record: type[Any], silent: set[str]) -> None:
     found = told((record,))
     assert PUBLISHED.keys() - found.keys() == {f"/dji_sdk/{one}" for one in silent}
 
@@ -370,7 +370,7 @@ def test_levels_are_those_of_rosgraph(level: str, number: int) -> None:
         ("", None),
     ],
 )
-def test_a_mission_is_told_as_the_aircraft_pushes_it(kind: str, values: Any) -> None:
+def test_a_mission_is_reported_as_the_aircraft_pushes_it(kind: str, values: Any) -> None:
     async def listen(rig: KnownRig) -> None:
         page = rig.client()
         page.subscribe("/dji_sdk/mission_status")
@@ -384,7 +384,7 @@ def test_a_mission_is_told_as_the_aircraft_pushes_it(kind: str, values: Any) -> 
     run(listen)
 
 
-def test_nothing_is_told_of_an_aircraft_that_is_gone() -> None:
+def test_nothing_is_reported_of_an_aircraft_that_is_gone() -> None:
     """As before the first package: zeros."""
 
     async def listen(rig: KnownRig) -> None:
@@ -400,7 +400,7 @@ def test_nothing_is_told_of_an_aircraft_that_is_gone() -> None:
     run(listen)
 
 
-def test_nothing_is_told_of_an_aircraft_whose_agent_hangs() -> None:
+def test_nothing_is_reported_of_an_aircraft_whose_agent_hangs() -> None:
     async def listen(rig: KnownRig) -> None:
         page = rig.client()
         rig.known.tell_package(0.0)
@@ -434,7 +434,7 @@ def flying(work: Callable[[KnownRig, FakeClient], Any], settle: float = 0.1) -> 
 
 
 def flown(topic: str, *messages: dict[str, Any]) -> tuple[list[Steer], list[str]]:
-    """The setpoints that these messages become, and what the client is told."""
+    """The setpoints that these messages become, and what the client hears."""
 
     async def publish(rig: KnownRig, page: FakeClient) -> None:
         for message in messages:
@@ -675,7 +675,7 @@ def test_a_service_that_means_nothing_asks_for_nothing(name: str, values: dict[s
     assert (found, answer["result"]) == ([], False)
 
 
-# The commands of 2015: a float that the C program casts to a byte; what is asked, and what is told.
+# The commands of 2015: a float that the C program casts to a byte; the request, and the answer.
 ORDERED: list[tuple[str, float, list[Order], dict[str, float]]] = [
     ("/sdk_request_cmd", 4, [orders.TakeOff()], {}),
     ("/sdk_request_cmd", 6.9, [orders.Land()], {}),
@@ -782,7 +782,7 @@ def test_a_gimbal_points_where_radians_say(seconds: int, tenths: int) -> None:
     )
 
 
-def test_a_gimbal_turns_as_fast_as_it_is_told() -> None:
+def test_a_gimbal_turns_as_fast_as_ordered() -> None:
     """Roll, pitch, yaw in rad/s, with the signs of the wire; in tenths of a degree by 3.1's."""
     vector: Any = {"x": math.radians(5), "y": math.radians(20), "z": math.radians(40)}
     [ask], _ = asks(("", {"vector": vector}), topic="/dji_sdk/gimbal_speed_cmd")
@@ -853,7 +853,7 @@ def test_a_task_is_uploaded_as_it_is(changed: dict[str, Any], expected: tuple[fl
     assert answers[3] == answers[4] == {"speed": 4.5, "cmd_set": 3, "cmd_id": 0x17, "ack_data": 0}
 
 
-def test_a_speed_that_was_set_is_told() -> None:
+def test_a_speed_that_was_set_is_reported() -> None:
     upload = ("mission_waypoint_upload", {"waypoint_task": TASK})
     speed = ("mission_waypoint_setSpeed", {"speed": 2.5})
     _, answers = asks(upload, speed, ("mission_waypoint_getSpeed", {}))

@@ -258,7 +258,7 @@ async def test_a_code_opens_a_page_and_nothing_else(kind: str) -> None:
     assert opened.status == 303
 
 
-async def test_a_page_is_told_why_it_was_refused() -> None:
+async def test_a_page_hears_why_it_was_refused() -> None:
     visit = Visit()
     await visit.ask(HERE, ("origin", "http://evil.example"), kind="http")
     assert visit.sent[0]["status"] == 403
@@ -324,7 +324,7 @@ async def test_from_elsewhere_a_page_is_asked_about_and_nothing_else_answered(
 async def test_the_question_leads_to_what_was_asked_for_and_runs_nothing(
     path: str, query: str, link: str
 ) -> None:
-    visit = Visit(access=Access(TOKEN))  # whoever asks needs no token yet
+    visit = Visit(access=Access(TOKEN))  # a visitor needs no token yet
     there = ("sec-fetch-site", "cross-site")
     assert not await visit.ask(HERE, there, *NAVIGATION, kind="http", path=path, query=query)
     page = visit.sent[1]["body"].decode()

@@ -75,7 +75,7 @@ class Line(asyncio.Transport):
 
 
 class Speaker(asyncio.Protocol):
-    """What speaks on a connection: each byte is an event, unless it is told otherwise."""
+    """What speaks on a connection: each byte is an event, unless the test says otherwise."""
 
     def __init__(self, told: list[str], name: str, *, steers: bool = False) -> None:
         self.told, self.name, self.steers = told, name, steers
@@ -241,7 +241,7 @@ async def test_a_fault_of_a_parser_costs_its_connection_alone() -> None:
     assert b"".join(good.pieces) == bytes(READ)
 
 
-async def test_what_is_put_back_is_for_whoever_speaks_next() -> None:
+async def test_what_is_put_back_is_for_the_next_speaker() -> None:
     class Upgraded(Speaker):
         def data_received(self, data: bytes) -> None:
             super().data_received(data[:3])

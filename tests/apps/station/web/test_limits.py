@@ -179,7 +179,7 @@ async def test_what_costs_little_does_not_wait() -> None:
     assert len(begins) == 2
 
 
-async def test_who_comes_while_too_many_wait_is_told_to_come_again() -> None:
+async def test_a_client_that_comes_while_too_many_wait_is_asked_to_come_again() -> None:
     turnstile = PageRateLimit(Pages(), "/")
     statuses = await asyncio.gather(*(ask(turnstile) for _ in range(PLACES + 5)))
     assert sorted(statuses) == [200] * (PLACES + 1) + [503] * 4

@@ -63,7 +63,7 @@ async def answers(port: int, context: ssl.SSLContext | None = None) -> bytes:
     return answer
 
 
-async def test_whoever_says_nothing_is_counted_at_the_door_and_costs_no_more() -> None:
+async def test_a_silent_visitor_is_counted_at_the_door_and_costs_no_more() -> None:
     door = ConnectionLimit()
     async with listening(door) as (_, port):
         silent = [await asyncio.open_connection("127.0.0.1", port) for _ in range(10)]
@@ -155,7 +155,7 @@ async def test_when_it_is_closed_newcomers_are_closed_and_others_stay() -> None:
 
 
 @pytest.mark.parametrize("turns", [0, 1])
-async def test_whoever_is_turned_out_while_it_comes_in_is_closed(turns: int) -> None:
+async def test_a_visitor_turned_out_while_it_comes_in_is_closed(turns: int) -> None:
     """Also between the turn that lets it in and the first step of its task."""
     door, made = ConnectionLimit(), list[Any]()
     enter = door.enter

@@ -119,7 +119,7 @@ async def test_a_scrape_has_what_was_counted_and_goes_on() -> None:
         assert values((await scraped(one))["m100_link_frames"], "_total")["received",] > before
 
 
-async def test_of_a_lost_aircraft_only_that_is_told() -> None:
+async def test_of_a_lost_aircraft_only_that_is_reported() -> None:
     async with station(metrics_port=0) as one:
         await counted(one)
         assert one.virtual is not None
@@ -251,7 +251,7 @@ def heard() -> AircraftState:
 
 
 def told() -> list[Metric]:
-    """What is told of three aircraft: one that flies, one that is silent, one that is lost."""
+    """The metrics of three aircraft: one that flies, one that is silent, one that is lost."""
 
     def agent(connection: str = "connected", *, mismatches: int = 18, **more: Any) -> Any:
         state = State(1.0, connection, has_authority=mismatches == 17, mismatches=mismatches)

@@ -1,4 +1,4 @@
-"""What goes over the line whoever answers: the application, the gate or the server itself."""
+"""The same goes over the line from application, gate and server itself."""
 
 from __future__ import annotations
 

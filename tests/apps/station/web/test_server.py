@@ -152,7 +152,7 @@ async def test_binding_beyond_this_machine_needs_a_token() -> None:
             pass
 
 
-async def test_a_port_that_is_taken_is_told() -> None:
+async def test_a_port_that_is_taken_is_reported() -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()

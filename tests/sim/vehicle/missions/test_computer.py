@@ -87,7 +87,7 @@ ENDINGS: dict[str, tuple[Callable[[Host], Any], Code, set[Maneuver]]] = {
 
 @pytest.mark.parametrize("is_paused", [False, True], ids=["flying", "paused"])
 @pytest.mark.parametrize("cause", ENDINGS)
-def test_whatever_breaks_a_mission_off_is_told(cause: str, is_paused: bool) -> None:
+def test_whatever_breaks_a_mission_off_is_reported(cause: str, is_paused: bool) -> None:
     act, reason, then = ENDINGS[cause]
     settings = {"low_battery_percent": 5.0} if cause == "critical battery" else {}
     program = on_the_way(host(settings=settings))

@@ -123,7 +123,7 @@ def test_who_hears_nobody_counts_them_as_there_too() -> None:
     assert (near.name, near.silent_s) == ("a2", 2.0)
     ones = neighbours()
     ones.hear(by_track("show", ACROSS, 5.0, ACROSS.moment(5.0).place), 0.0)
-    assert ones.near(on_track(7.0), 2.0) is not None, "what it told holds for ten seconds"
+    assert ones.near(on_track(7.0), 2.0) is not None, "its report holds for ten seconds"
 
 
 def test_one_that_is_silent_may_have_stopped_anywhere_on_its_way_and_not_beyond() -> None:
@@ -138,11 +138,11 @@ def test_one_that_is_silent_may_have_stopped_anywhere_on_its_way_and_not_beyond(
         assert (ones.near(own, at) is not None) or not is_near
         assert (ones.near(own, at) is None) or at >= crossed - 10.0
         elsewhere = by_speed("show", "a1", at, (20.0, 45.0, 4.0), (0.0, 0.0, 0.0))
-        assert ones.near(elsewhere, at) is None, "so far it told nothing"
+        assert ones.near(elsewhere, at) is None, "so far it reported nothing"
 
 
 def test_a_silent_one_is_decided_about_in_time_and_once() -> None:
-    """Its way is met half a minute later: who leaves for that is still where it told that it is."""
+    """Its way is met half a minute later: a leaver is still where it reported to be."""
     later = track("a1", (0, 0, 0, 4), (10, 0, 9, 4), (40, 40, 9, 4), (70, 40, 0, 4))
     rest = RestOfTrack(later)
 
@@ -157,7 +157,7 @@ def test_a_silent_one_is_decided_about_in_time_and_once() -> None:
     assert near is not None
     assert 30.0 < near.at < 60.0
     assert near.silent_s == pytest.approx(SETTLED_S + 0.1)
-    assert at(SETTLED_S + 0.3) is None, "whoever flies on has left, or was not asked to"
+    assert at(SETTLED_S + 0.3) is None, "one that flies on has left, or was not asked to"
     ones.hear(by_speed("show", "a2", 9.0, (40.0, 50.0, 4.0), (0.0, 0.0, 0.0)), 9.0)
     assert at(9.0 + SETTLED_S + 0.1) is None, "it was heard again, 40 m away"
 
@@ -184,7 +184,7 @@ def test_other_shows_and_itself_are_not_compared() -> None:
     assert ones.near(on_track(5.0), 0.0) is None
 
 
-def test_what_is_told_comes_out_as_it_went_in() -> None:
+def test_what_is_sent_comes_out_as_it_went_in() -> None:
     ahead = on_track(5.0, off=0.123)
     read = ConflictMonitor.from_bytes(ahead.to_bytes())
     assert (read.show, read.name, read.at, read.down_from) == ("show", "a1", 5.0, 20.0)
@@ -300,7 +300,7 @@ def test_no_place_that_a_track_comes_near_to_is_overlooked() -> None:
 
 
 def test_a_long_track_of_which_many_are_silent_costs_little() -> None:
-    """Whoever flies it needs a setpoint every 20 ms."""
+    """Its aircraft needs a setpoint every 20 ms."""
     points = [(10.0 * n, 8.0 * (n % 20), 5.0 * (n // 20), 4.0) for n in range(1000)]
     rest = RestOfTrack(track("a1", *points))
     rest.meets([(0.0, 900.0, 4.0)], 3.0, 0.0)

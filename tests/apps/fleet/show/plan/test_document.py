@@ -285,7 +285,7 @@ def test_every_aircraft_has_a_line_and_a_name() -> None:
     assert len(root.findall(f"{SVG}g/{SVG}polyline")) == 5
 
 
-def test_the_nearest_two_are_told_at_their_time() -> None:
+def test_the_nearest_two_are_reported_at_their_time() -> None:
     first = track("a1", (0, 0, 0, 5), (20, 30, 0, 5))
     second = track("a2", (0, 30, 3, 5), (20, 0, 3, 5))
     told = words(drawn(show_of(first, second)))

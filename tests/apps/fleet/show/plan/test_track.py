@@ -144,7 +144,7 @@ def test_what_cannot_be_flown_is_no_track(
 
 
 @pytest.mark.parametrize("name", ["", "a\n1", "a" * 65])
-def test_names_can_be_told(name: str) -> None:
+def test_names_can_be_distinguished(name: str) -> None:
     with pytest.raises(BadShow, match="1 to 64 characters"):
         track(name, *GOOD)
 
@@ -193,7 +193,7 @@ def test_no_moment_is_nearer_than_the_nearest(seed: int) -> None:
     assert distance >= min(everywhere) - fastest * last / 5000 - 1.1e-3
 
 
-def test_whoever_has_ended_may_be_anywhere_below_its_last_point() -> None:
+def test_an_aircraft_that_has_ended_may_be_anywhere_below_its_last_point() -> None:
     ended = track("a1", (0, 0, 0, 10), (5, 1, 0, 10))
     below = track("a2", (0, -20, 0, 3), (10, -20, 0, 3), (20, 20, 0, 3), (30, 40, 0, 3))
     above = track("a3", (0, -20, 0, 14), (10, -20, 0, 14), (20, 20, 0, 14), (30, 40, 0, 14))

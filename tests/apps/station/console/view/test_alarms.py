@@ -68,7 +68,7 @@ def test_every_state_with_every_input(before: AlarmState, what: AlarmInput) -> N
 
 
 class Flight:
-    """A flight of which the desk is told four times a second."""
+    """A flight that the alarms see four times a second."""
 
     def __init__(self, **known: Any) -> None:
         self.desk = AlarmManager()
@@ -397,13 +397,13 @@ def test_what_only_happens_is_over_when_it_was_seen_and_begins_again() -> None:
     assert flight.shown == {N.MISSION_ABORTED: S.RAISED}
 
 
-def test_who_comes_later_is_not_told_what_happened_before() -> None:
+def test_a_later_client_does_not_hear_what_happened_before() -> None:
     desk = AlarmManager()
     assert desk.advance(replace(FINE, aborted=3)) == []
     assert desk.shown == ()
 
 
-def test_what_is_so_when_somebody_comes_is_told() -> None:
+def test_what_is_so_when_somebody_comes_is_reported() -> None:
     desk = AlarmManager()
     assert [change.name for change in desk.advance(replace(FINE, battery=9))] == [
         N.BATTERY_CRITICAL,

@@ -204,7 +204,7 @@ MAKE_A_THIRD = {(C.TAKEN, C.FREE_RC): C.RC, (C.NO_AUTHORITY, C.FREE_RC): C.RC}
 
 
 @pytest.mark.parametrize("cause", Cause)
-def test_each_cause_alone_is_told(cause: Cause) -> None:
+def test_each_cause_alone_is_reported(cause: Cause) -> None:
     assert status_line(replace(FREE, **ALONE[cause])).cause is cause
 
 
@@ -213,7 +213,7 @@ def test_each_cause_alone_is_told(cause: Cause) -> None:
     [pair for pair in combinations(Cause, 2) if frozenset(pair) not in NO_PAIR],
     ids=lambda cause: cause.value,
 )
-def test_of_two_causes_the_one_that_comes_first_is_told(first: Cause, second: Cause) -> None:
+def test_of_two_causes_the_one_that_comes_first_is_reported(first: Cause, second: Cause) -> None:
     both = replace(FREE, **{**ALONE[second], **ALONE[first]})
     assert {first, second} <= {cause for cause, (_, holds) in RULES.items() if holds(both)}
     told = status_line(both).cause
@@ -347,7 +347,7 @@ def test_every_cause_has_words_a_level_and_says_what_to_do(cause: Cause) -> None
     assert line.level is not AlarmLevel.GOOD or cause in (C.YOURS, C.MISSION)
 
 
-def test_a_virtual_aircraft_is_said_to_be_one_whatever_else_is_told() -> None:
+def test_a_virtual_aircraft_is_named_one_whatever_else_is_reported() -> None:
     assert status_line(replace(FREE, is_virtual=True, connection="lost")).is_virtual
     assert not status_line(FREE).is_virtual
 
@@ -442,7 +442,7 @@ OTHER = replace(BASE, name="crow", is_shown=False)
 
 @pytest.fixture
 async def telemetry(rig: Rig) -> AircraftState:
-    await anyio.sleep(1.5)  # the battery is told once a second
+    await anyio.sleep(1.5)  # the battery is sent once a second
     assert rig.front.telemetry is not None
     return rig.front.telemetry
 

@@ -138,7 +138,7 @@ def test_without_a_point_or_control_nothing_can_be_held() -> None:
         (LinkError("gone"), "Wait for the position"),
     ],
 )
-def test_a_refusal_has_its_reason_and_a_remedy_for_whoever_points(
+def test_a_refusal_has_its_reason_and_a_remedy_for_the_pointing_operator(
     error: M100Error, remedy: str
 ) -> None:
     foreseen = Preview(refusals=(error,))
@@ -150,7 +150,7 @@ def test_a_refusal_has_its_reason_and_a_remedy_for_whoever_points(
     assert remedy in remedies
 
 
-def test_what_was_refused_by_the_agent_is_told_and_may_be_tried_again() -> None:
+def test_what_was_refused_by_the_agent_is_reported_and_may_be_tried_again() -> None:
     problem = NotObserved("it was ended")
     view = click_of(Pointed().at(*HERE), FORESEEN, None, has_control=True, problem=problem)
     assert view.may_fly

@@ -418,7 +418,7 @@ FLOATS = [
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 @pytest.mark.parametrize(("kind", "place"), FLOATS)
-def test_what_is_no_number_is_told_as_unknown(kind: int, place: int, bad: float) -> None:
+def test_what_is_no_number_is_reported_as_unknown(kind: int, place: int, bad: float) -> None:
     """One aircraft that sends such a thing must not end the page by which another one is flown."""
     record: Any = known.EVERYTHING[kind]
     if type(record).__name__ == "Magnetometer":  # whole numbers on the wire

@@ -172,7 +172,7 @@ def test_actions_are_a_line_of_text_and_come_back() -> None:
 
 
 @pytest.mark.parametrize("text", ["dance", "photo 3", "stay", "stay x", "stay nan", "pitch -6 0"])
-def test_what_is_not_an_action_is_told(text: str) -> None:
+def test_what_is_not_an_action_is_reported(text: str) -> None:
     with pytest.raises(UsageError, match="is not an action"):
         actions_of(text)
 

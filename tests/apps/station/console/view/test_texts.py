@@ -107,7 +107,7 @@ def test_what_strangers_wrote_is_not_taken_for_braces() -> None:
     assert Translator()(taken) == "{0.__class__} {name} took control from you"
 
 
-def test_the_page_is_told_its_words_its_units_and_its_decimal_sign() -> None:
+def test_the_page_gets_its_words_its_units_and_its_decimal_sign() -> None:
     told: dict[str, Any] = for_browser(
         Translator(Language.GERMAN, Units(LengthUnit.FOOT, SpeedUnit.KM_H))
     )
@@ -116,7 +116,7 @@ def test_the_page_is_told_its_words_its_units_and_its_decimal_sign() -> None:
     assert (told["point"], told["words"]["old"]) == (",", "alt")
 
 
-def test_what_the_page_asks_for_is_what_it_is_told() -> None:
+def test_what_the_page_asks_for_is_what_it_gets() -> None:
     told: dict[str, Any] = for_browser(Translator())
     asked = {f"fate_{fate}" for fate in Fate}  # by their names, in steer.js
     for path in (CONSOLE / "static").glob("*.js"):
@@ -193,7 +193,7 @@ def test_every_unit_converts_and_has_a_sign() -> None:
             )
 
 
-# -- errors in the language of whoever looks -------------------------------------------------------
+# -- errors in the language of the operator --------------------------------------------------------
 
 ENGLISH, GERMAN = Translator(), Translator(Language.GERMAN)
 

@@ -1,4 +1,4 @@
-"""A view holds everything that the page shows, and nothing that nobody told."""
+"""A view holds everything that the page shows, and nothing that nobody sent."""
 
 from __future__ import annotations
 
