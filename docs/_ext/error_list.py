@@ -35,15 +35,15 @@ class ErrorList(SphinxDirective):
             target = nodes.term("", "", ids=[name], names=[name])
             target += nodes.literal(text=kind.error_code)
             target += nodes.Text(f" {kind.__name__}, a kind of {_bases(kind)}")
-            told = nodes.definition()
-            told += nodes.paragraph("", "", *self.parse_inline(first_sentences(kind))[0])
+            definition = nodes.definition()
+            definition += nodes.paragraph("", "", *self.parse_inline(first_sentences(kind))[0])
             for title, text in (
                 ("Usual cause", kind.usual_cause),
                 ("What to do", kind.usual_remedy),
             ):
                 words = self.parse_inline(text.replace("`", "``"))[0]
-                told += nodes.paragraph("", f"{title}: ", nodes.Text(f"{title}: "), *words)
-            entries += nodes.definition_list_item("", target, told)
+                definition += nodes.paragraph("", f"{title}: ", nodes.Text(f"{title}: "), *words)
+            entries += nodes.definition_list_item("", target, definition)
         return [entries]
 
 

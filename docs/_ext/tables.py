@@ -296,8 +296,8 @@ class EndingTable(TableDirective):
         """One row per ending."""
         yield "What ends the program", '``stop="hover"``', '``stop="land"``', "a mission flies"
         for ending, outcomes in endings.ENDINGS.items():
-            told = (f"{one.received}: {one.did}" for one in outcomes)
-            yield sentence(ending.value.replace("`", "``")), *map(sentence, told)
+            actions = (f"{one.received}: {one.did}" for one in outcomes)
+            yield sentence(ending.value.replace("`", "``")), *map(sentence, actions)
 
 
 class BlockTable(TableDirective):
