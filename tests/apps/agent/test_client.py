@@ -309,13 +309,24 @@ async def test_a_plan_that_cannot_be_read_is_counted(rig: Rig) -> None:
         assert (client.plan, client.unread) == (None, 1)
 
 
+async def test_the_old_name_of_hover_warns_and_hovers() -> None:
+    ours, its = memory_channels()
+    heard: list[object] = []
+    async with AgentClient(ours, "front") as client:
+        its.open(heard.append, lambda _: None)
+        with pytest.warns(DeprecationWarning, match="AgentClient.halt is hover now"):
+            client.halt("a child")
+        await anyio.sleep(0.01)
+    assert [one.order for one in heard if isinstance(one, Ask)] == [orders.Halt("a child")]
+
+
 CALLS: dict[str, Callable[[AgentClient, Lease], Awaitable[object]]] = {
     "acquire": lambda c, lease: c.acquire("other"),
     "ask": lambda c, lease: c.ask(orders.Land(), lease),
     "confirm": lambda c, lease: c.confirm("code"),
     "enter": lambda c, lease: entered(c),
     "from_mobile": lambda c, lease: first_of(c.from_mobile(Newest(1))),
-    "halt": lambda c, lease: plainly(lambda: c.hover("other", lease)),
+    "hover": lambda c, lease: plainly(lambda: c.hover("other", lease)),
     "keep": lambda c, lease: plainly(lambda: c.keep(lease)),
     "leave": lambda c, lease: c.__aexit__(None, None, None),
     "let_go": lambda c, lease: plainly(lambda: c.let_go(lease)),

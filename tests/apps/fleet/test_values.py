@@ -80,7 +80,7 @@ def client(telemetry: AircraftState | None, **state: Any) -> Any:
         view=known.seen(telemetry, 40.0, state=told, holder=LeaseChanged(17, "tower")),
         state=told,
         now=40.0,
-        on_mission_told=[],
+        on_mission_report=[],
         on_lease=[],
     )
 

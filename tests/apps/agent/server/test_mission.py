@@ -71,7 +71,7 @@ async def test_a_hover_in_the_turn_of_the_loop_in_which_a_mission_is_asked_for_e
         plan = WaypointPlan(places, speed=5)
         flying = rig.holding.require()
         asked = asyncio.create_task(flying.start_mission(plan, take_off=False))
-        asyncio.get_running_loop().call_soon(flying.halt, "hover")
+        asyncio.get_running_loop().call_soon(flying.hover, "hover")
         with pytest.raises(NotObserved, match="stopped before it began"):
             await asyncio.wait_for(asked, 5.0)
         assert not flying.mission.is_flying
