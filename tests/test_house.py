@@ -267,7 +267,7 @@ def test_a_test_that_traces_puts_back_what_traced_before() -> None:
     assert found == []
 
 
-def test_who_waits_for_a_process_has_patience() -> None:
+def test_a_test_that_waits_for_a_process_has_patience() -> None:
     """A number of seconds is the machine's: tests/waiting.py says how long is never."""
     number = r"(?:timeout=)?[0-9.]+[,)]"
     waits = re.compile(

@@ -75,7 +75,7 @@ def test_a_lower_room_loads_neither_those_above_nor_what_only_they_need(
     assert loaded_by(statement) & COSTLY <= allowed
 
 
-def test_who_reads_a_frame_does_not_load_the_commands_that_it_does_not_have() -> None:
+def test_a_program_that_reads_a_frame_does_not_load_the_commands_that_it_does_not_have() -> None:
     commands = {f"m100link.protocol.commands.{name}" for name in ("waypoint", "hotpoint", "follow")}
     read = "from m100link.protocol import PROFILES, parse_command; parse_command(bytes({}), {})"
     assert not commands & own("import m100link.protocol")
@@ -86,7 +86,7 @@ def test_who_reads_a_frame_does_not_load_the_commands_that_it_does_not_have() ->
 
 
 @pytest.mark.parametrize("place", ["m100link", "m100link.missions.plan"])
-def test_who_plans_loads_no_commands(place: str) -> None:
+def test_a_program_that_plans_loads_no_commands(place: str) -> None:
     made = f"from {place} import WaypointPlan"
     assert {name.split(".")[1] for name in own(made) if "." in name} == {
         *("errors", "geodesy", "missions"),
@@ -104,7 +104,7 @@ def test_connecting_waits_with_what_only_some_connections_need() -> None:
     assert not loaded & {"cryptography", "importlib.metadata", "m100link.sim", "rich", "cyclopts"}
 
 
-def test_who_listens_does_not_load_what_flies() -> None:
+def test_a_program_that_listens_does_not_load_what_flies() -> None:
     loaded = own("from m100link import connect")
     flying = {
         "flight.control",

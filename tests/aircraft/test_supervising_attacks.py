@@ -185,7 +185,7 @@ async def test_a_program_that_is_cancelled_at_any_moment_leaves_nothing() -> Non
         assert not any(one.is_connected for one in opened)
 
 
-async def test_who_is_cancelled_while_it_closes_is_cancelled_and_it_closes_all_the_same() -> None:
+async def test_a_task_cancelled_while_it_closes_is_cancelled_and_it_closes_all_the_same() -> None:
     end = virtual()
     one = supervised(Cable(end))
     await one.__aenter__()

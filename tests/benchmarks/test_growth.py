@@ -42,7 +42,7 @@ def test_a_region_is_on_the_way_where_there_are_several_sites() -> None:
     assert several.answered == 60
 
 
-def test_who_lost_a_router_is_silent_until_it_was_noticed_and_no_longer() -> None:
+def test_a_client_that_lost_a_router_is_silent_until_it_was_noticed_and_no_longer() -> None:
     found = Fleet(40, seconds=12.0).run()
     longest = COSTS.lost_after + COSTS.spread + 40 * COSTS.join + 2 * 0.2
     assert COSTS.lost_after < found.silent_s < longest

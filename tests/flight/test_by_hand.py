@@ -359,10 +359,10 @@ async def test_what_stands_in_for_the_block_ends_behind_the_stop_path_and_stays_
     async with rig() as flown:
         control = await flown.aircraft.control(stop="land").obtain()
         await control.take_off()
-        keeper = control._block._stopping._task
-        assert keeper is not None
-        keeper.cancel()
+        guard = control._block._stopping._task
+        assert guard is not None
+        guard.cancel()
         with pytest.raises(asyncio.CancelledError):
-            await keeper
+            await guard
         assert not flown.is_running
         assert flown.is_released

@@ -22,7 +22,7 @@ class Work:
     def __init__(self, error: Exception | None = None) -> None:
         self.begun = self.done = self.ended = 0
         self.error = error
-        self.errand = ShieldedTask(self.work, self.on_end)
+        self.shielded = ShieldedTask(self.work, self.on_end)
 
     async def work(self) -> None:
         self.begun += 1
@@ -37,17 +37,17 @@ class Work:
 
 async def test_work_is_done_once_however_often_it_is_waited_for() -> None:
     work = Work()
-    work.errand.begin()
-    await asyncio.gather(work.errand.ended(), work.errand.ended())
-    await work.errand.ended()
+    work.shielded.begin()
+    await asyncio.gather(work.shielded.ended(), work.shielded.ended())
+    await work.shielded.ended()
     assert (work.begun, work.done, work.ended) == (1, 1, 1)
 
 
 async def test_a_cancelled_waiter_waits_on_and_then_lets_the_cancellation_out() -> None:
     """The caller's cancellation is not swallowed: it comes out when the work has ended."""
     work = Work()
-    work.errand.begin()
-    waiter = asyncio.create_task(work.errand.ended())
+    work.shielded.begin()
+    waiter = asyncio.create_task(work.shielded.ended())
     for _ in range(5):
         await asyncio.sleep(0.1)
         waiter.cancel()
@@ -60,9 +60,9 @@ async def test_a_cancelled_waiter_waits_on_and_then_lets_the_cancellation_out() 
 
 async def test_a_scope_of_anyio_cannot_cut_it_short_either() -> None:
     work = Work()
-    work.errand.begin()
+    work.shielded.begin()
     with anyio.move_on_after(0.1) as scope:
-        await work.errand.ended()
+        await work.shielded.ended()
         assert work.done == 1
         await asyncio.sleep(10)  # delivered at the next wait
     assert scope.cancelled_caught
@@ -72,8 +72,8 @@ async def test_work_that_is_cancelled_itself_is_begun_again() -> None:
     """What asyncio.run does on its way out: it cancels every task there is."""
     before = asyncio.all_tasks()
     work = Work()
-    work.errand.begin()
-    waiter = asyncio.create_task(work.errand.ended())
+    work.shielded.begin()
+    waiter = asyncio.create_task(work.shielded.ended())
     for _ in range(2):
         await asyncio.sleep(0.5)
         for task in asyncio.all_tasks() - before:
@@ -85,7 +85,7 @@ async def test_work_that_is_cancelled_itself_is_begun_again() -> None:
 
 async def test_its_caller_sees_it_cancelled_when_the_work_is_done() -> None:
     work = Work()
-    task = work.errand.begin()
+    task = work.shielded.begin()
     await asyncio.sleep(0.5)
     task.cancel()
     await asyncio.wait([task])
@@ -98,27 +98,27 @@ async def test_work_that_is_cancelled_again_and_again_is_given_up_and_says_so(
 ) -> None:
     before = asyncio.all_tasks()
     work = Work()
-    work.errand.begin()
+    work.shielded.begin()
     for _ in range(3):
         await asyncio.sleep(0.5)
         for task in asyncio.all_tasks() - before:
             task.cancel()
-    await work.errand.ended()
+    await work.shielded.ended()
     assert (work.begun, work.done, work.ended) == (3, 0, 1)
     assert "given up" in caplog.text
 
 
 async def test_work_that_is_cancelled_before_its_first_line_is_begun_all_the_same() -> None:
     work = Work()
-    work.errand.begin().cancel()
-    await work.errand.ended()
+    work.shielded.begin().cancel()
+    await work.shielded.ended()
     assert (work.begun, work.done, work.ended) == (1, 1, 1)
 
 
 @pytest.mark.parametrize("left", range(1, 40))
 async def test_parked_work_is_begun_however_little_of_the_stack_is_left(left: int) -> None:
     work = Work()
-    work.errand.park(lambda: None)
+    work.shielded.park(lambda: None)
     await asyncio.sleep(0.25)
     # Before, one whose waking had no room slept for ever, and no cancellation woke it.
     here, frame = 0, cast("FrameType | None", sys._getframe())
@@ -128,24 +128,24 @@ async def test_parked_work_is_begun_however_little_of_the_stack_is_left(left: in
     with contextlib.suppress(RecursionError):  # not so little
         sys.setrecursionlimit(here + left)
     try:
-        work.errand.begin()
+        work.shielded.begin()
     except RecursionError as error:
         is_called = error.__traceback__ is not None and error.__traceback__.tb_next is not None
     finally:
         sys.setrecursionlimit(limit)
     if not is_called:  # its first line had no room, and nobody can know
-        work.errand.begin()
+        work.shielded.begin()
     await asyncio.sleep(1.2)
-    await work.errand.ended()
+    await work.shielded.ended()
     assert (work.begun, work.done, work.ended) == (1, 1, 1)
 
 
 async def test_what_the_work_raises_comes_out_at_each_waiter() -> None:
     work = Work(ZeroDivisionError())
-    work.errand.begin()
+    work.shielded.begin()
     for _ in range(2):
         with pytest.raises(ZeroDivisionError):
-            await work.errand.ended()
+            await work.shielded.ended()
     assert work.ended == 1
 
 

@@ -98,7 +98,7 @@ class Witness:
                 if last - first < (count - 1) * SLOT - 1e-6:
                     self.violations.append(f"{first:.3f} (c) {count} frames until {last:.3f}")
 
-    def wish(self, lifetime: float) -> None:
+    def renew(self, lifetime: float) -> None:
         self.wanted_until = max(self.wanted_until, self.flown.now + lifetime)
 
 
@@ -139,7 +139,7 @@ class Flight:
     async def send(self, control: Control) -> None:
         for _ in range(self.random.randint(1, 30)):
             options = self.options()
-            self.witness.wish(options["lifetime"])
+            self.witness.renew(options["lifetime"])
             control.send(self.setpoint(), **options)
             self.narrow(options["lifetime"])
             await asyncio.sleep(self.random.choice([0.0, 0.004, 0.02, 0.02, 0.05]))
@@ -150,12 +150,12 @@ class Flight:
 
     async def hold(self, control: Control) -> None:
         options = self.options()
-        self.witness.wish(options["lifetime"])
+        self.witness.renew(options["lifetime"])
         async with control.hold(self.setpoint(), **options) as hold:
             self.narrow(options["lifetime"])
             for _ in range(self.random.randint(0, 5)):
                 await self.pause()
-                self.witness.wish(options["lifetime"])
+                self.witness.renew(options["lifetime"])
                 hold.set(self.setpoint())
                 self.narrow(options["lifetime"])
             await self.pause()
@@ -166,14 +166,14 @@ class Flight:
         await control.stop()
 
     async def climb(self, control: Control) -> None:
-        self.witness.wish(30.0)
+        self.witness.renew(30.0)
         try:
             await control.climb_to(self.random.uniform(2.0, 12.0), timeout=5.0)
         finally:
             self.witness.wanted_until = self.flown.now  # it has stopped, and waited for that
 
     async def circle(self, control: Control) -> None:
-        self.witness.wish(30.0)
+        self.witness.renew(30.0)
         try:
             async with asyncio.timeout(self.random.uniform(0.1, 8.0)):
                 await control.orbit(center_north=4.0, center_east=0.0)

@@ -51,7 +51,7 @@ def test_of_a_status_that_is_sent_once_a_second_one_may_be_lost_and_not_two() ->
     assert known(told("flight_status", (3,), 3.0), FlightStatus) is None
 
 
-def test_who_needs_a_younger_value_says_so() -> None:
+def test_a_program_that_needs_a_younger_value_says_so() -> None:
     state = told("position", POSSIBLE["position"], 0.6)
     assert known(state, Position) is not None
     assert known(state, Position, within=0.5) is None

@@ -298,7 +298,7 @@ async def test_stop_ends_the_loop_that_flies(name: str, loop: Loop) -> None:
         await control.climb_to(3.0)
 
 
-async def test_who_cancels_a_loop_may_steer_at_once() -> None:
+async def test_a_program_that_cancels_a_loop_may_steer_at_once() -> None:
     async with flying() as (flown, control):
         flight = asyncio.create_task(control.fly_to(north=20, east=0, up=0))
         await asyncio.sleep(1.0)

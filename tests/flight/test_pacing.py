@@ -346,7 +346,7 @@ class TestOnTheRealClock:
         assert times[-1] - times[3] > 0.02
 
 
-async def test_who_is_woken_beside_another_timer_does_not_sleep_again(
+async def test_a_sleeper_woken_beside_another_timer_does_not_sleep_again(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """An event loop takes a nanosecond for none; loops of one grid fall into it all the time."""

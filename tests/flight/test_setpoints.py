@@ -97,7 +97,7 @@ async def test_a_setpoint_goes_out_at_once(rig: Rig) -> None:
     assert rig.frames == [(1.0, NORTH)]
 
 
-async def test_who_sets_one_has_checked_it_and_each_repetition_is_asked_for(
+async def test_a_program_that_sets_one_has_checked_it_and_each_repetition_is_asked_for(
     rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked: list[float] = []

@@ -46,7 +46,7 @@ def test_a_track_of_hours_keeps_its_shape_and_its_length() -> None:
     assert max(north for _, north, _ in track.places()) == pytest.approx(100, abs=1)
 
 
-def test_who_stands_still_draws_no_noise() -> None:
+def test_an_aircraft_that_stands_still_draws_no_noise() -> None:
     track = Track()
     for number in range(1000):
         track.add(number / 100, 0.03 * (number % 2), 0.0)

@@ -192,7 +192,7 @@ async def test_no_disk_is_waited_for_in_the_event_loop(
     assert threading.get_ident() not in threads
 
 
-async def test_who_is_cancelled_while_a_log_is_made_leaves_none(
+async def test_a_program_that_is_cancelled_while_a_log_is_made_leaves_none(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     flights = Flights(tmp_path, tell=Told())

@@ -52,7 +52,7 @@ def test_a_vector_of_the_ground_in_the_body(attitude: Attitude, enu: Any, flu: A
     assert in_body(attitude.enu_flu_xyzw, enu) == pytest.approx(flu, abs=1e-9)
 
 
-def test_who_stands_feels_gravity_from_below() -> None:
+def test_an_aircraft_that_stands_feels_gravity_from_below() -> None:
     standing = read(
         MADE.imu(STAMP, EAST, AngularVelocity(0.1, 0.2, 0.3), Acceleration(0.0, 0.0, 0.0)),
         "sensor_msgs/msg/Imu",

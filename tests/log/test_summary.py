@@ -70,7 +70,7 @@ def test_setpoints_are_spans_and_a_pause_ends_one(tmp_path: Path) -> None:
     assert [round(span.begin_s, 3) for span in spans] == [0.0, 5.0]
 
 
-def test_who_had_control_and_how_it_was_lost(tmp_path: Path) -> None:
+def test_the_holders_of_control_and_how_it_was_lost(tmp_path: Path) -> None:
     def authority(at: float, before: str, after: str, reason: str = "") -> Any:
         event = {"event": "authority", "before": before, "after": after, "reason": reason}
         return at, "/m100/event", event

@@ -150,7 +150,7 @@ async def test_taken_kept_and_given_back(pilots: Pilots) -> None:
     await pilots.rig.until(lambda: not agent.holding.has_authority)
 
 
-async def test_who_falls_silent_loses_it_after_a_lifetime(pilots: Pilots) -> None:
+async def test_a_client_that_falls_silent_loses_it_after_a_lifetime(pilots: Pilots) -> None:
     one = session(pilots)
     await one.obtain()
     await anyio.sleep(2.9)
@@ -311,7 +311,7 @@ async def test_a_stop_before_a_step_of_a_take_over_ends_all_of_it(
     assert client.holder.number == (0 if step == "Obtain" else 2)
 
 
-async def test_who_let_go_before_a_stop_does_not_undo_it(pilots: Pilots) -> None:
+async def test_a_client_that_let_go_before_a_stop_does_not_undo_it(pilots: Pilots) -> None:
     one, client = session(pilots), pilots.clients[0]
     await one.obtain()
     await anyio.sleep(1.0)
@@ -400,7 +400,7 @@ async def test_the_agent_goes(pilots: Pilots) -> None:
 async def test_a_lease_of_the_same_number_at_the_next_agent_is_somebody_elses(
     pilots: Pilots, is_looked_at: bool
 ) -> None:
-    """As of an agent without its ledger, which counts anew."""
+    """As of an agent without its order log, which counts anew."""
     one, client = session(pilots), pilots.clients[0]
     await one.obtain()
     number = one.held().number
@@ -474,7 +474,7 @@ async def test_control_is_had_again_after_giving_it_back_was_broken_off(
     assert at(one) is S.HOLDING
 
 
-async def test_who_sends_while_the_pilot_flies_keeps_the_lease(pilots: Pilots) -> None:
+async def test_a_client_that_sends_while_the_pilot_flies_keeps_the_lease(pilots: Pilots) -> None:
     """The aircraft obeys again when the switch comes back to F."""
     one = session(pilots)
     refused: list[type[M100Error]] = []
@@ -587,7 +587,7 @@ async def test_to_whom_it_was_lost_is_known_until_it_is_held_again(pilots: Pilot
     assert at(one) is S.HOLDING
 
 
-async def test_who_wants_to_hear_it_hears_each_state_and_refusal(pilots: Pilots) -> None:
+async def test_a_client_that_wants_to_hear_it_hears_each_state_and_refusal(pilots: Pilots) -> None:
     one, other = session(pilots), session(pilots, 1)
     states: list[ControlState] = []
     refused: list[M100Error] = []
@@ -1097,7 +1097,7 @@ async def test_what_goes_out_and_what_is_obeyed(
 
 
 @pytest.mark.parametrize(("number", "is_others"), [(0, False), (1, True), (7, False), (8, True)])
-async def test_who_has_the_lease(number: int, is_others: bool) -> None:
+async def test_the_holder_of_the_lease(number: int, is_others: bool) -> None:
     async with front() as pilot:
         pilot.client._receive(LeaseChanged(number, "x"))
         assert pilot.one.is_others is (number != 0)
@@ -1155,7 +1155,7 @@ async def test_which_end_of_a_lease_is_believed(
 
 
 @pytest.mark.parametrize("way", ["heard", "steer", "obtain", "adopt", "give_back"])
-async def test_who_took_it_is_known_until_it_is_had_again(way: str) -> None:
+async def test_the_taker_is_known_until_it_is_had_again(way: str) -> None:
     async with front() as pilot:
         pilot.taken()
         assert (pilot.one.loss, pilot.states) == (None, []), "without the lease"

@@ -345,7 +345,7 @@ def test_nothing_is_older_than_is_said(seed: int) -> None:
 
 
 @SEEDS
-def test_who_lies_about_its_time_makes_no_round_trip_shorter(seed: int) -> None:
+def test_a_client_that_lies_about_its_time_makes_no_round_trip_shorter(seed: int) -> None:
     chance, way, now = random.Random(seed), ClockEstimate(), 1000.0
     for _ in range(300):
         now += chance.uniform(0.01, 1.0)

@@ -12,64 +12,64 @@ from m100link.apps.agent.lease import Lease, LeaseChange, LeaseHeld, LeaseManage
 
 
 def test_the_first_who_asks_gets_it_and_the_second_learns_who_has_it() -> None:
-    desk = LeaseManager()
-    desk.acquire("field laptop", 0.0)
+    manager = LeaseManager()
+    manager.acquire("field laptop", 0.0)
     with pytest.raises(LeaseHeld) as caught:
-        desk.acquire("tablet", 0.1)
+        manager.acquire("tablet", 0.1)
     assert caught.value.holder == "field laptop"
     assert "take over" in caught.value.remedy
 
 
 def test_a_lease_that_nobody_renews_ends() -> None:
-    desk = LeaseManager(lifetime=3.0)
-    lease = desk.acquire("a", 0.0)
-    desk.renew(lease.token, 2.9)
-    assert desk.holder(5.8) == lease
-    assert desk.holder(5.9) is None
+    manager = LeaseManager(lifetime=3.0)
+    lease = manager.acquire("a", 0.0)
+    manager.renew(lease.token, 2.9)
+    assert manager.holder(5.8) == lease
+    assert manager.holder(5.9) is None
     with pytest.raises(LeaseRefused, match="not in force"):
-        desk.renew(lease.token, 5.9)
+        manager.renew(lease.token, 5.9)
 
 
 def test_a_released_expired_or_taken_lease_cannot_be_replayed() -> None:
-    desk = LeaseManager()
-    released = desk.acquire("a", 0.0)
-    desk.release(released.token, 0.1)
-    expired = desk.acquire("a", 0.2)
-    taken = desk.acquire("a", 100.0)
-    desk.confirm(desk.ask_take_over("b", 100.1).token, 100.2)
+    manager = LeaseManager()
+    released = manager.acquire("a", 0.0)
+    manager.release(released.token, 0.1)
+    expired = manager.acquire("a", 0.2)
+    taken = manager.acquire("a", 100.0)
+    manager.confirm(manager.ask_take_over("b", 100.1).token, 100.2)
     for old in (released, expired, taken):
-        for attempt in (desk.check, desk.renew, desk.release):
+        for attempt in (manager.check, manager.renew, manager.release):
             with pytest.raises(LeaseRefused):
                 attempt(old.token, 100.3)
-    assert desk.holder(100.3).name == "b"  # type: ignore[union-attr]
+    assert manager.holder(100.3).name == "b"  # type: ignore[union-attr]
 
 
 def test_a_take_over_names_the_loser_and_needs_its_confirmation() -> None:
-    desk = LeaseManager(lifetime=60.0)
-    first = desk.acquire("a", 0.0)
-    wanted = desk.ask_take_over("b", 1.0)
+    manager = LeaseManager(lifetime=60.0)
+    first = manager.acquire("a", 0.0)
+    wanted = manager.ask_take_over("b", 1.0)
     assert wanted.from_name == "a"
-    assert desk.holder(1.0) == first  # asking alone takes nothing
-    second = desk.confirm(wanted.token, 2.0)
+    assert manager.holder(1.0) == first  # asking alone takes nothing
+    second = manager.confirm(wanted.token, 2.0)
     assert (second.name, second.number) == ("b", 2)
     with pytest.raises(LeaseRefused, match="nothing to confirm"):
-        desk.confirm(wanted.token, 2.0)  # used
+        manager.confirm(wanted.token, 2.0)  # used
 
 
 @pytest.mark.parametrize("meanwhile", ["too late", "released", "changed hands"])
 def test_a_confirmation_holds_for_what_was_asked_only(meanwhile: str) -> None:
-    desk = LeaseManager(lifetime=60.0)
-    first = desk.acquire("a", 0.0)
-    wanted = desk.ask_take_over("b", 1.0)
+    manager = LeaseManager(lifetime=60.0)
+    first = manager.acquire("a", 0.0)
+    wanted = manager.ask_take_over("b", 1.0)
     now = 2.0
     if meanwhile == "too late":
         now = 11.0
     else:
-        desk.release(first.token, 1.5)
+        manager.release(first.token, 1.5)
         if meanwhile == "changed hands":
-            desk.acquire("c", 1.6)
+            manager.acquire("c", 1.6)
     with pytest.raises(LeaseRefused, match="nothing to confirm"):
-        desk.confirm(wanted.token, now)
+        manager.confirm(wanted.token, now)
 
 
 def test_a_free_lease_is_not_taken_over() -> None:
@@ -78,12 +78,12 @@ def test_a_free_lease_is_not_taken_over() -> None:
 
 
 def test_tokens_stay_out_of_logs_and_names_are_fit_for_a_banner() -> None:
-    desk = LeaseManager()
-    lease = desk.acquire("x\n\x1b[31m" + "y" * 200, 0.0)
+    manager = LeaseManager()
+    lease = manager.acquire("x\n\x1b[31m" + "y" * 200, 0.0)
     assert lease.token not in repr(lease)
     assert lease.name.isprintable()
     assert len(lease.name) == 64
-    wanted = desk.ask_take_over("\n", 0.0)
+    wanted = manager.ask_take_over("\n", 0.0)
     assert wanted.token not in repr(wanted)
     assert wanted.name == "unnamed"
 
@@ -94,11 +94,11 @@ def test_changes_are_reported() -> None:
     def note(why: LeaseChange, old: Lease | None, new: Lease | None) -> None:
         seen.append((why, old.name if old else None, new.name if new else None))
 
-    desk = LeaseManager(on_change=note)
-    desk.acquire("a", 0.0)
-    desk.confirm(desk.ask_take_over("b", 0.0).token, 0.0)
-    desk.advance(10.0)
-    desk.release(desk.acquire("c", 10.0).token, 10.0)
+    manager = LeaseManager(on_change=note)
+    manager.acquire("a", 0.0)
+    manager.confirm(manager.ask_take_over("b", 0.0).token, 0.0)
+    manager.advance(10.0)
+    manager.release(manager.acquire("c", 10.0).token, 10.0)
     assert seen == [
         (LeaseChange.ACQUIRED, None, "a"),
         (LeaseChange.TAKEN_OVER, "a", "b"),
@@ -114,7 +114,7 @@ class LeaseMachine(RuleBasedStateMachine):
     def __init__(self) -> None:
         super().__init__()
         self.now = 0.0
-        self.desk = LeaseManager()
+        self.manager = LeaseManager()
         self.leases: list[Lease] = []
 
     @rule(seconds=st.floats(0.0, 4.0))
@@ -124,14 +124,14 @@ class LeaseMachine(RuleBasedStateMachine):
     @rule()
     def acquire(self) -> None:
         with contextlib.suppress(LeaseHeld):
-            self.leases.append(self.desk.acquire("x", self.now))
+            self.leases.append(self.manager.acquire("x", self.now))
 
     @rule(confirm_after=st.floats(0.0, 12.0))
     def take_over(self, confirm_after: float) -> None:
         try:
-            wanted = self.desk.ask_take_over("y", self.now)
+            wanted = self.manager.ask_take_over("y", self.now)
             self.now += confirm_after
-            self.leases.append(self.desk.confirm(wanted.token, self.now))
+            self.leases.append(self.manager.confirm(wanted.token, self.now))
         except LeaseRefused:
             pass
 
@@ -140,14 +140,14 @@ class LeaseMachine(RuleBasedStateMachine):
         if self.leases:
             token = self.leases[which % len(self.leases)].token
             with contextlib.suppress(LeaseRefused):
-                getattr(self.desk, what)(token, self.now)
+                getattr(self.manager, what)(token, self.now)
 
     @invariant()
     def only_the_newest_works(self) -> None:
         works = []
         for lease in self.leases:
             with contextlib.suppress(LeaseRefused):
-                works.append(self.desk.check(lease.token, self.now))
+                works.append(self.manager.check(lease.token, self.now))
         assert works in ([], self.leases[-1:])
 
 
@@ -155,25 +155,25 @@ TestLeaseMachine = LeaseMachine.TestCase
 
 
 def test_what_spammers_ask_does_not_push_out_what_others_asked() -> None:
-    desk = LeaseManager()
-    desk.acquire("holder", 0.0)
-    wanted = desk.ask_take_over("operator", 1.0)
+    manager = LeaseManager()
+    manager.acquire("holder", 0.0)
+    wanted = manager.ask_take_over("operator", 1.0)
     for number in range(500):
-        desk.ask_take_over("operator", 1.0)
+        manager.ask_take_over("operator", 1.0)
         with pytest.raises(LeaseRefused):
-            desk.confirm(f"guess {number}", 1.0)
-    assert desk.confirm(wanted.token, 2.0).name == "operator"
+            manager.confirm(f"guess {number}", 1.0)
+    assert manager.confirm(wanted.token, 2.0).name == "operator"
 
 
 def test_time_in_which_the_program_did_not_run_ends_no_lease() -> None:
-    desk = LeaseManager(lifetime=3.0, longest_step=0.5)
-    lease = desk.acquire("a", 0.0)
-    assert desk.holder(5.0) == lease  # it did not run for 4.5 s
-    assert desk.remaining(5.0) == pytest.approx(2.5)
+    manager = LeaseManager(lifetime=3.0, longest_step=0.5)
+    lease = manager.acquire("a", 0.0)
+    assert manager.holder(5.0) == lease  # it did not run for 4.5 s
+    assert manager.remaining(5.0) == pytest.approx(2.5)
     for step in range(1, 6):
-        assert desk.holder(5.0 + 0.5 * step) == (lease if step < 5 else None)
+        assert manager.holder(5.0 + 0.5 * step) == (lease if step < 5 else None)
 
 
 def test_a_desk_after_another_begins_where_that_one_cannot_have_come() -> None:
-    desk = LeaseManager(leases_before=1_000_000)
-    assert desk.acquire("anybody", 0.0).number == 1_000_001
+    manager = LeaseManager(leases_before=1_000_000)
+    assert manager.acquire("anybody", 0.0).number == 1_000_001

@@ -183,9 +183,7 @@ async def test_the_reason_of_a_close_is_reported() -> None:
 
 
 @pytest.mark.parametrize("other", [0, 1, -1])
-def test_who_is_at_the_other_end_is_known_by_the_system(
-    other: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_system_knows_the_other_end(other: int, monkeypatch: pytest.MonkeyPatch) -> None:
     own = os.getuid()
     monkeypatch.setattr(os, "getuid", lambda: own + other)
     one, two = socket.socketpair(socket.AF_UNIX)

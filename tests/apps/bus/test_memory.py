@@ -68,7 +68,7 @@ async def test_each_one_asked_answers_under_its_own_key_and_the_lost_are_not_wai
     assert await asker.ask("a/3/cmd", timeout=0.5) == []
 
 
-async def test_who_drops_a_question_is_nobody_at_once() -> None:
+async def test_a_program_that_drops_a_question_is_nobody_at_once() -> None:
     network = MemoryNetwork()
     network.session().serve("a", lambda question: question.drop())
     began = anyio.current_time()

@@ -380,7 +380,7 @@ async def test_a_ring_that_is_filled_meanwhile_has_an_end() -> None:
                 await anyio.sleep(0.001)
 
 
-async def test_who_comes_late_gets_what_was_latched() -> None:
+async def test_a_program_that_comes_late_gets_what_was_latched() -> None:
     async with AsyncExitStack() as stack:
         one, other = await two(stack)
         outlet = one.publish("0/latched", kept=1)

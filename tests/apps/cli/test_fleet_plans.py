@@ -69,7 +69,9 @@ def test_a_sound_show_is_reported_in_words(cli: CommandLine) -> None:
     assert len(rest) == 5
 
 
-def test_who_comes_too_near_is_named_with_the_time(cli: CommandLine, crossing: str) -> None:
+def test_an_aircraft_that_comes_too_near_is_named_with_the_time(
+    cli: CommandLine, crossing: str
+) -> None:
     outcome = cli("fleet", "show", "check", crossing)
     assert outcome.status == ExitCode.USAGE
     [told] = outcome.objects

@@ -117,9 +117,7 @@ def test_rules_of_a_router_are_written(cli: CommandLine, rights: str, tmp_path: 
 # -- who lost a laptop ----------------------------------------------------------------------------
 
 
-def test_who_is_revoked_is_said_wherever_somebody_looks(
-    cli: CommandLine, folder: str, rights: str
-) -> None:
+def test_a_revoked_name_is_shown_everywhere(cli: CommandLine, folder: str, rights: str) -> None:
     for name in ("anna", "bert"):
         assert cli("fleet", "pki", "issue", "pilot", name, "--folder", folder).status == 0
     outcome = cli("fleet", "pki", "revoke", "anna", "--folder", folder)
@@ -190,8 +188,8 @@ def secured_site(tmp_path: Path) -> Iterator[Secured]:
         (tmp_path / "board").mkdir()
         for name in ("ca.pem", "a1.pem", "a1.key"):
             shutil.copy(pki / name, tmp_path / "board" / name)
-        board = ("--pki", str(tmp_path / "board"))
-        agent = made.start("agent", "sim://", "--name", "a1", *board, *secured)
+        onboard = ("--pki", str(tmp_path / "board"))
+        agent = made.start("agent", "sim://", "--name", "a1", *onboard, *secured)
         assert agent.stdout is not None
         assert agent.stdout.readline()
         yield made
@@ -225,7 +223,7 @@ def test_each_may_do_what_the_file_says_and_nobody_comes_without_a_certificate(
 
 @pytest.mark.pty
 @needs_zenoh
-def test_who_lost_a_laptop_steers_no_more_and_after_a_start_of_the_router_hears_no_more(
+def test_a_lost_laptop_steers_no_more_and_after_a_start_of_the_router_hears_no_more(
     secured_site: Secured, tmp_path: Path
 ) -> None:
     assert secured_site.ask("takeoff", "a1", "--identity", "anna")[0] == ExitCode.OK

@@ -38,7 +38,7 @@ SIZE = 1_000_000
 
 
 @pytest.fixture
-def board(tmp_path: Path) -> Path:
+def onboard(tmp_path: Path) -> Path:
     """The folder on board, with one old log."""
     folder = tmp_path / "m100link/flights/a1"
     folder.mkdir(parents=True)
@@ -70,7 +70,7 @@ def fetched(site: Site, here: Path) -> dict[str, Any]:
 
 
 def test_logs_are_listed_and_fetched_and_one_that_is_written_is_said(
-    site: Site, board: Path, tmp_path: Path
+    site: Site, onboard: Path, tmp_path: Path
 ) -> None:
     agent(site)
     status, told = site.ask("log", "list", "--all")
@@ -94,11 +94,11 @@ def test_logs_are_listed_and_fetched_and_one_that_is_written_is_said(
     assert (status, newest["log"], newest["is_written"]) == (0, told[0]["log"], True)
     assert not read(newest["path"]).summary().is_whole
     assert fetched(site, tmp_path / "here")["came"] == SIZE
-    assert (tmp_path / "here" / f"a1-{OLD}").read_bytes() == (board / OLD).read_bytes()
+    assert (tmp_path / "here" / f"a1-{OLD}").read_bytes() == (onboard / OLD).read_bytes()
     assert fetched(site, tmp_path / "here")["came"] == 0
 
 
-def test_mistakes_are_reported_with_what_to_do(site: Site, board: Path, tmp_path: Path) -> None:
+def test_mistakes_are_reported_with_what_to_do(site: Site, onboard: Path, tmp_path: Path) -> None:
     agent(site)
     status, [told] = site.ask("log", "fetch", "a1", "--file", "../a2/x", "--to", str(tmp_path))
     assert (status, told["outcome"]) == (1, "refused")
@@ -110,7 +110,7 @@ def test_mistakes_are_reported_with_what_to_do(site: Site, board: Path, tmp_path
 
 
 def test_ctrl_c_ends_it_at_once_and_the_next_one_goes_on(
-    site: Site, board: Path, tmp_path: Path
+    site: Site, onboard: Path, tmp_path: Path
 ) -> None:
     agent(site, "--log-rate", "0.2")
     process = cut_off(site, tmp_path)
@@ -121,11 +121,11 @@ def test_ctrl_c_ends_it_at_once_and_the_next_one_goes_on(
     there = (tmp_path / f"a1-{OLD}.part").stat().st_size
     assert there >= 150_000
     assert fetched(site, tmp_path)["came"] == SIZE - there
-    assert (tmp_path / f"a1-{OLD}").read_bytes() == (board / OLD).read_bytes()
+    assert (tmp_path / f"a1-{OLD}").read_bytes() == (onboard / OLD).read_bytes()
 
 
 def test_whichever_is_killed_meanwhile_the_next_one_goes_on(
-    site: Site, board: Path, tmp_path: Path
+    site: Site, onboard: Path, tmp_path: Path
 ) -> None:
     on_board = agent(site, "--log-rate", "0.2")
     process = cut_off(site, tmp_path)
@@ -139,10 +139,10 @@ def test_whichever_is_killed_meanwhile_the_next_one_goes_on(
     assert second > first
     agent(site)
     assert fetched(site, tmp_path)["came"] == SIZE - second
-    assert (tmp_path / f"a1-{OLD}").read_bytes() == (board / OLD).read_bytes()
+    assert (tmp_path / f"a1-{OLD}").read_bytes() == (onboard / OLD).read_bytes()
 
 
-def test_stop_is_quick_however_many_fetch(site: Site, board: Path) -> None:
+def test_stop_is_quick_however_many_fetch(site: Site, onboard: Path) -> None:
     """A hundred at once ask for as much as goes in one answer, without a pause."""
     agent(site, "--log-rate", "20")
     keys = Keys("site", "a1")

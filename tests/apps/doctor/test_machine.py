@@ -47,7 +47,7 @@ def test_an_adapter_without_a_timer_keeps_nothing_back(machine: FakeMachine) -> 
         (("/sbin/agetty -o -p ttyUSB9 vt100",), True),
     ],
 )
-def test_who_asks_for_a_login_there(
+def test_the_program_that_asks_for_a_login_there(
     machine: FakeMachine, words: tuple[str, ...], is_one: bool
 ) -> None:
     machine.run(41, *words)
@@ -120,7 +120,7 @@ def test_a_member_is_one_by_the_own_group_or_by_the_list(
 
 
 @pytest.mark.pty
-def test_who_holds_a_terminal_is_found_and_its_other_end_is_not(tmp_path: Path) -> None:
+def test_the_holder_of_a_terminal_is_found_and_its_other_end_is_not(tmp_path: Path) -> None:
     master, slave = os.openpty()
     name = os.ttyname(slave)
     os.close(slave)

@@ -39,8 +39,8 @@ def anyio_backend() -> tuple[str, dict[str, Any]]:
 class OnBoard:
     """One aircraft with its agent."""
 
-    def __init__(self, rig: Rig, name: str, aircraft: VirtualAircraft, ledger: OrderLog) -> None:
-        self.rig, self.name, self.aircraft, self.ledger = rig, name, aircraft, ledger
+    def __init__(self, rig: Rig, name: str, aircraft: VirtualAircraft, order_log: OrderLog) -> None:
+        self.rig, self.name, self.aircraft, self.order_log = rig, name, aircraft, order_log
         self._is_killed = False
 
     @asynccontextmanager
@@ -59,7 +59,7 @@ class OnBoard:
                 Agent(
                     plugged_in,
                     credentials=self.aircraft.credentials,
-                    leases_before=self.ledger.leases_before,
+                    leases_before=self.order_log.leases_before,
                 )
             )
             self.service = AgentServer(self.agent)
@@ -70,7 +70,7 @@ class OnBoard:
                 self.client,
                 self.bus,
                 Keys(SITE, self.name),
-                self.ledger,
+                self.order_log,
                 utc=self.rig.utc,
                 **options,
             )
@@ -88,10 +88,12 @@ class OnBoard:
         self.work.cancel()
 
     async def next(self, **options: Any) -> OnBoard:
-        """The agent after the one that was killed, with the same aircraft and ledger."""
-        assert isinstance(self.ledger, MemoryOrderLog)
-        ledger = MemoryOrderLog(self.ledger)
-        return await self.rig.aircraft(self.name, virtual=self.aircraft, ledger=ledger, **options)
+        """The agent after the one that was killed, with the same aircraft and order log."""
+        assert isinstance(self.order_log, MemoryOrderLog)
+        order_log = MemoryOrderLog(self.order_log)
+        return await self.rig.aircraft(
+            self.name, virtual=self.aircraft, order_log=order_log, **options
+        )
 
     @property
     def height(self) -> float:
@@ -118,10 +120,10 @@ class Rig:
                 await anyio.sleep(0.01)
 
     async def aircraft(
-        self, name: str, *, ledger: OrderLog | None = None, **options: Any
+        self, name: str, *, order_log: OrderLog | None = None, **options: Any
     ) -> OnBoard:
         virtual = options.pop("virtual", None) or VirtualAircraft(seed=5)
-        one = OnBoard(self, name, virtual, ledger or MemoryOrderLog())
+        one = OnBoard(self, name, virtual, order_log or MemoryOrderLog())
         return await self.stack.enter_async_context(one.running(**options))
 
     def cut(self, fleet: Fleet) -> None:

@@ -181,10 +181,10 @@ async def test_an_order_that_comes_twice_is_carried_out_once(rig: Rig) -> None:
 
 
 async def test_after_a_restart_what_had_begun_is_unknown_and_not_done_again(rig: Rig) -> None:
-    ledger = MemoryOrderLog()
+    order_log = MemoryOrderLog()
     task = order(orders.TakeOff())
-    await ledger.begin(task.id)
-    await rig.aircraft("a1", ledger=MemoryOrderLog(ledger))
+    await order_log.begin(task.id)
+    await rig.aircraft("a1", order_log=MemoryOrderLog(order_log))
     reply = await send(rig, task)
     assert reply.outcome is Outcome.UNKNOWN
     [answer] = await rig.network.session().ask(KEYS.status(task.id), timeout=1.0)
@@ -199,7 +199,7 @@ async def test_where_words_of_the_ledger_are_lost_orders_of_before_are_unknown_a
     await anyio.sleep(1.0)
     damaged = MemoryOrderLog()
     damaged.damaged = 2
-    one = await rig.aircraft("a1", virtual=with_camera(), ledger=damaged)
+    one = await rig.aircraft("a1", virtual=with_camera(), order_log=damaged)
     assert [e.text[:38] for e in one.client.events if "order log" in e.text] == [
         "2 records of the order log are damaged"
     ]
@@ -315,7 +315,7 @@ async def test_an_order_that_was_overtaken_is_not_carried_out(
 
 
 @pytest.mark.parametrize("is_late", [True, False])
-async def test_who_let_go_before_a_stop_does_not_begin_anew_by_that(
+async def test_a_client_that_let_go_before_a_stop_does_not_begin_anew_by_that(
     rig: Rig, is_late: bool
 ) -> None:
     one = await rig.aircraft("a1")
@@ -361,7 +361,7 @@ async def test_a_take_off_that_waits_for_the_disk_is_revoked_by_a_landing(rig: R
         async def begin(self, identity: str) -> None:
             await anyio.sleep(1.0)
 
-    one = await rig.aircraft("a1", ledger=Slow())
+    one = await rig.aircraft("a1", order_log=Slow())
     await one.agent.ask(orders.Activate())
     got = await lease(rig)
     await send(rig, order(orders.Obtain(), got.number, got.token))
@@ -380,7 +380,7 @@ async def test_strangers_reach_neither_disk_nor_memory(rig: Rig) -> None:
         [answer] = await rig.network.session().ask(KEYS.command, pack(bad), timeout=2.0)
         assert unpack(OrderReply, answer.payload).outcome is Outcome.REFUSED
     assert (await send(rig, order(orders.TakeOff()))).outcome is Outcome.STALE_LEASE
-    assert one.ledger.begun == {}
+    assert one.order_log.begun == {}
 
 
 async def test_an_order_under_a_pattern_is_answered_under_each_key_that_heard_it(rig: Rig) -> None:
@@ -391,12 +391,12 @@ async def test_an_order_under_a_pattern_is_answered_under_each_key_that_heard_it
 
 
 async def test_fences_rise_over_a_restart(rig: Rig) -> None:
-    ledger = MemoryOrderLog()
-    one = await rig.aircraft("a1", ledger=ledger)
+    order_log = MemoryOrderLog()
+    one = await rig.aircraft("a1", order_log=order_log)
     before = await lease(rig)
     one.work.cancel()
     await anyio.sleep(0.1)
-    await rig.aircraft("a1", ledger=MemoryOrderLog(ledger))
+    await rig.aircraft("a1", order_log=MemoryOrderLog(order_log))
     after = await lease(rig)
     assert after.number > before.number
 

@@ -169,7 +169,7 @@ async def test_an_order_is_as_old_as_the_slowest_clock_would_have_it(rig: Rig) -
 class Forgetful:
     """An agent whose answers come in any order, late or never, and that may be started anew.
 
-    Nothing outlives it, as if somebody had emptied its ledger.
+    Nothing outlives it, as if somebody had emptied its order log.
     """
 
     def __init__(self, seed: int, forgets_after: float) -> None:

@@ -104,7 +104,7 @@ async def test_an_old_agent_is_reported_with_both_versions(rig: Rig, what: str) 
     assert caught.value.remedy == "install the same release on both"
 
 
-async def test_who_appears_and_who_is_gone(rig: Rig) -> None:
+async def test_aircraft_that_appear_and_that_are_gone(rig: Rig) -> None:
     pilot = await rig.pilot()
     one = await rig.aircraft("a1")
     changes = pilot.changes()

@@ -253,7 +253,7 @@ async def test_a_lease_that_is_lost_in_the_landing_of_its_end_is_reported(rig: R
     assert one.height < 0.1
 
 
-async def test_who_is_ended_as_the_lease_is_lost_is_ended(rig: Rig) -> None:
+async def test_a_task_that_ends_as_the_lease_is_lost_is_ended(rig: Rig) -> None:
     """Ctrl-C at that moment is not taken for the loss."""
     await rig.aircraft("a1")
     pilot = await rig.pilot()

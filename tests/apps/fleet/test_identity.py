@@ -154,7 +154,7 @@ def test_an_order_to_another_aircraft_is_sent_on_by_somebody() -> None:
     assert reason(order(), at=gate("a2")) is Reason.WRONG_AIRCRAFT
 
 
-def test_who_may_not_is_refused() -> None:
+def test_an_operator_without_the_right_is_refused() -> None:
     assert reason(order(signer="bert"), right=Right.FLY) is Reason.NOT_ALLOWED
     assert reason(order(aircraft="b1"), at=gate("b1"), right=Right.WATCH) is Reason.NOT_ALLOWED
 
@@ -282,7 +282,7 @@ TABLE = [
 
 @pytest.mark.parametrize(("who", "aircraft", "most"), TABLE)
 @pytest.mark.parametrize("right", Right)
-def test_who_may_do_what(who: str, aircraft: str, most: Right | None, right: Right) -> None:
+def test_the_rights_of_each_name(who: str, aircraft: str, most: Right | None, right: Right) -> None:
     identity = Rights.parse(FILE).identity(who)
     assert identity is not None
     assert identity.may(right, aircraft) == (most is not None and right <= most)

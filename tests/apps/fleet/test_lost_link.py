@@ -67,7 +67,7 @@ async def test_lands_or_goes_home_when_that_is_configured(rig: Rig, action: Lost
     assert one.height < 0.1
 
 
-async def test_who_takes_control_meanwhile_keeps_it(rig: Rig) -> None:
+async def test_a_client_that_takes_control_meanwhile_keeps_it(rig: Rig) -> None:
     one = await rig.aircraft("a1", lost=LostLinkPlan("land", 5.0))
     pilot, other = await rig.pilot(), await rig.pilot("other")
 
@@ -80,7 +80,7 @@ async def test_who_takes_control_meanwhile_keeps_it(rig: Rig) -> None:
             assert one.height > 1.0
 
 
-async def test_who_lets_go_is_not_lost(rig: Rig) -> None:
+async def test_an_operator_that_lets_go_is_not_lost(rig: Rig) -> None:
     one, pilot = await rig.aircraft("a1", lost=LostLinkPlan("land", 1.0)), await rig.pilot()
     await pilot["a1"].take_off()
     await anyio.sleep(20.0)
@@ -124,7 +124,7 @@ async def test_a_pilot_of_any_name_is_somebody(rig: Rig) -> None:
 
 
 @pytest.mark.parametrize("sign", ["stick", "mode", "stop", "lands already"])
-async def test_who_shows_that_he_is_there_is_left_alone(rig: Rig, sign: str) -> None:
+async def test_an_operator_that_shows_to_be_there_is_left_alone(rig: Rig, sign: str) -> None:
     one = await rig.aircraft("a1", lost=LostLinkPlan("land", 3.0))
     other = await rig.pilot("other")
     await lose_the_pilot(rig, one)
@@ -229,9 +229,9 @@ async def test_the_next_agent_does_what_was_configured(rig: Rig, action: LostAct
     assert "the previous agent ended while the aircraft flew under lease 1" in said(one)
     await rig.until(lambda: one.client.holder.number == 0)
     await anyio.sleep(0.1)
-    assert one.ledger.last_flight is not None
-    assert isinstance(one.ledger, MemoryOrderLog)
-    assert MemoryOrderLog(one.ledger).last_flight is None
+    assert one.order_log.last_flight is not None
+    assert isinstance(one.order_log, MemoryOrderLog)
+    assert MemoryOrderLog(one.order_log).last_flight is None
 
 
 async def test_one_that_hovers_by_its_plan_is_left_to_the_pilot_and_that_is_said(rig: Rig) -> None:
@@ -241,7 +241,7 @@ async def test_one_that_hovers_by_its_plan_is_left_to_the_pilot_and_that_is_said
     assert "it is left to the pilot with the remote control" in said(one)
 
 
-async def test_who_comes_back_flies_on(rig: Rig) -> None:
+async def test_an_operator_that_comes_back_flies_on(rig: Rig) -> None:
     one = await (await killed_in_flight(rig)).next(lost=LAND)
     pilot = await rig.pilot()
     async with pilot["a1"].control():
@@ -335,11 +335,11 @@ async def test_one_of_which_nobody_knows_who_flew_it_since_is_left_alone(
     rig: Rig, ago: float | None
 ) -> None:
     before = await killed_in_flight(rig)
-    assert isinstance(before.ledger, MemoryOrderLog)
-    ledger = MemoryOrderLog(before.ledger)
-    assert ledger.last_flight is not None
-    ledger.last_flight = replace(ledger.last_flight, ago_s=ago)
-    one = await rig.aircraft("a1", virtual=before.aircraft, ledger=ledger, lost=LAND)
+    assert isinstance(before.order_log, MemoryOrderLog)
+    order_log = MemoryOrderLog(before.order_log)
+    assert order_log.last_flight is not None
+    order_log.last_flight = replace(order_log.last_flight, ago_s=ago)
+    one = await rig.aircraft("a1", virtual=before.aircraft, order_log=order_log, lost=LAND)
     await anyio.sleep(60.0)
     assert one.height > 1.0
     assert "left to the pilot" in said(one)
@@ -347,11 +347,11 @@ async def test_one_of_which_nobody_knows_who_flew_it_since_is_left_alone(
 
 async def test_a_line_that_comes_too_late_is_one_of_which_nobody_knows(rig: Rig) -> None:
     before = await killed_in_flight(rig)
-    assert isinstance(before.ledger, MemoryOrderLog)
-    ledger = MemoryOrderLog(before.ledger)
-    ledger.last_flight = LastFlightRecord(1, INHERITED_S - 10.0)
+    assert isinstance(before.order_log, MemoryOrderLog)
+    order_log = MemoryOrderLog(before.order_log)
+    order_log.last_flight = LastFlightRecord(1, INHERITED_S - 10.0)
     before.aircraft.unplug()
-    one = OnBoard(rig, "a1", before.aircraft, ledger)
+    one = OnBoard(rig, "a1", before.aircraft, order_log)
 
     async def replug() -> None:
         await anyio.sleep(20.0)
@@ -379,7 +379,7 @@ async def test_it_is_written_again_while_it_flies_and_a_disk_that_fails_is_repor
 
     disk = Disk()
     disk.kept = []
-    one, pilot = await rig.aircraft("a1", ledger=disk), await rig.pilot()
+    one, pilot = await rig.aircraft("a1", order_log=disk), await rig.pilot()
     async with pilot["a1"].control(stop="land") as control:
         await control.take_off()
         assert disk.kept == [1]

@@ -43,17 +43,17 @@ def opened(path: Path, utc: float, boot: str, up: float) -> FileOrderLog:
 async def test_what_was_begun_is_known_by_the_next_run(tmp_path: Path) -> None:
     path = tmp_path / "site" / "a1.jsonl"
     for identity, up in (("one", 50.0), ("two", 51.0)):
-        ledger = opened(path, 1000.0, "boot", up)
-        await ledger.begin(identity)
-        ledger.close()  # as the kernel does when it is killed; each word was on the disk
+        log = opened(path, 1000.0, "boot", up)
+        await log.begin(identity)
+        log.close()  # as the kernel does when it is killed; each word was on the disk
     # Whatever the calendar says, set forth or back:
     for utc in (1002.0, 1002.0 + 3600.0, 1002.0 - 3600.0):
-        ledger = opened(path, utc, "boot", 52.0)
-        assert ledger.begun == {"one": 50.0, "two": 51.0}
-        ledger.close()
-    ledger = opened(path, 1000.0, "boot", 50.5 + KEPT_S)
-    assert ledger.begun == {"two": 51.0}
-    ledger.close()
+        log = opened(path, utc, "boot", 52.0)
+        assert log.begun == {"one": 50.0, "two": 51.0}
+        log.close()
+    log = opened(path, 1000.0, "boot", 50.5 + KEPT_S)
+    assert log.begun == {"two": 51.0}
+    log.close()
 
 
 async def test_what_is_from_before_the_computer_was_started_is_kept_as_long_again(
@@ -77,16 +77,16 @@ async def test_what_is_from_before_the_computer_was_started_is_kept_as_long_agai
 async def test_the_file_does_not_grow_without_end(tmp_path: Path, monkeypatch: Any) -> None:
     monkeypatch.setattr("m100link.apps.fleet.order_log.MOST_KEPT", 100)
     path, up = tmp_path / "a1.jsonl", [0.0]
-    ledger = FileOrderLog(path, lambda: 0.0, lambda: ("boot", up[0]))
+    log = FileOrderLog(path, lambda: 0.0, lambda: ("boot", up[0]))
     sizes = set()
-    await ledger.flies(17)
+    await log.flies(17)
     for number in range(1000):
         up[0] += 1.0
-        await ledger.begin(f"{number:032x}")
+        await log.begin(f"{number:032x}")
         sizes.add(len(path.read_text().splitlines()))
     assert max(sizes) <= 310
-    await ledger.granted(ledger.leases_before + 2 * FENCES_AT_ONCE)
-    ledger.close()
+    await log.granted(log.leases_before + 2 * FENCES_AT_ONCE)
+    log.close()
     after = opened(path, 0.0, "boot", up[0])
     assert list(after.begun)[-1] == f"{999:032x}"
     assert len(after.begun) == 100
@@ -107,9 +107,9 @@ def test_two_agents_have_two_ledgers(tmp_path: Path) -> None:
 
 async def test_a_line_that_was_cut_off_is_no_order_and_harms_none(tmp_path: Path) -> None:
     path = tmp_path / "a1.jsonl"
-    ledger = FileOrderLog(path, lambda: 0.0)
-    await ledger.begin("one")
-    ledger.close()
+    log = FileOrderLog(path, lambda: 0.0)
+    await log.begin("one")
+    log.close()
     for damage in (b'{"id": "tw', b"\xff\xfe\n", b"[]\n", b'{"id": 7}\n', b'{"fence": "9"}\n'):
         path.write_bytes(path.read_bytes() + damage)
         again = FileOrderLog(path, lambda: 1.0)
@@ -125,12 +125,12 @@ async def test_a_fence_is_never_granted_again(tmp_path: Path) -> None:
     path = tmp_path / "a1.jsonl"
     greatest = 0
     for _ in range(3):
-        ledger = FileOrderLog(path, lambda: 0.0)
-        assert ledger.leases_before >= greatest
+        log = FileOrderLog(path, lambda: 0.0)
+        assert log.leases_before >= greatest
         for number in range(1, 2 * FENCES_AT_ONCE + 10):
-            greatest = ledger.leases_before + number
-            await ledger.granted(greatest)
-        ledger.close()
+            greatest = log.leases_before + number
+            await log.granted(greatest)
+        log.close()
 
 
 async def test_a_folder_that_cannot_be_written_is_reported(tmp_path: Path) -> None:
@@ -149,7 +149,9 @@ async def test_one_in_memory_does_the_same_for_a_virtual_aircraft() -> None:
     assert second.leases_before >= 17
 
 
-async def test_who_flew_is_known_and_since_when_whatever_the_calendar_does(tmp_path: Path) -> None:
+async def test_the_last_flight_is_known_with_its_age_whatever_the_calendar_does(
+    tmp_path: Path,
+) -> None:
     path = tmp_path / "a1.jsonl"
 
     first = opened(path, 1000.0, "one", 50.0)
@@ -186,14 +188,14 @@ def sealed(*lines: str) -> str:
 def test_a_line_of_nonsense_lands_nobody(tmp_path: Path, line: str) -> None:
     path = tmp_path / "a1.jsonl"
     path.write_text(sealed(line))
-    ledger = FileOrderLog(path, lambda: 0.0)
-    assert ledger.last_flight is None
-    ledger.close()
+    log = FileOrderLog(path, lambda: 0.0)
+    assert log.last_flight is None
+    log.close()
     path.with_suffix(".lock").unlink()
     path.write_text(sealed('{"flies": 17, "at": "x", "up": "y", "boot": 3}'))
-    ledger = FileOrderLog(path, lambda: 0.0)
-    assert ledger.last_flight == LastFlightRecord(17, None)
-    ledger.close()
+    log = FileOrderLog(path, lambda: 0.0)
+    assert log.last_flight == LastFlightRecord(17, None)
+    log.close()
 
 
 def test_a_run_of_this_computer_has_a_name_and_an_age() -> None:
@@ -223,9 +225,9 @@ async def test_where_words_are_lost_leases_begin_above_all_that_may_have_been(
 ) -> None:
     path, utc = tmp_path / "a1.jsonl", 1_800_000_000.0
     path.write_text(sealed('{"fence": 3000}', '{"fence": 40\x00\x00}'))
-    ledger = opened(path, utc, "boot", 50.0)
-    assert ledger.leases_before == 1_800_000_000
-    ledger.close()
+    log = opened(path, utc, "boot", 50.0)
+    assert log.leases_before == 1_800_000_000
+    log.close()
     again = opened(path, utc - 1e9, "boot", 51.0)  # the calendar was set back
     assert again.leases_before >= 1_800_000_000 + FENCES_AT_ONCE
     again.close()
@@ -234,7 +236,7 @@ async def test_where_words_are_lost_leases_begin_above_all_that_may_have_been(
 @pytest.mark.parametrize(
     ("words", "ago_s"), [(("flies", "\x00"), None), (("\x00", "flies"), 1.0), (("flies",), 1.0)]
 )
-async def test_who_flew_is_not_believed_where_a_later_word_is_lost(
+async def test_the_last_flight_is_not_believed_where_a_later_record_is_lost(
     tmp_path: Path, words: tuple[str, ...], ago_s: float | None
 ) -> None:
     """It may say that nobody flew any more, and somebody with a remote control does."""
@@ -242,17 +244,17 @@ async def test_who_flew_is_not_believed_where_a_later_word_is_lost(
     path = tmp_path / "a1.jsonl"
     path.write_text(sealed(*(flies if word == "flies" else word for word in words)))
     path.with_suffix(".lock").write_bytes(bytes(Mark(len(words), 1)))
-    ledger = opened(path, 1001.0, "boot", 51.0)
-    assert ledger.last_flight == LastFlightRecord(17, ago_s)
-    ledger.close()
+    log = opened(path, 1001.0, "boot", 51.0)
+    assert log.last_flight == LastFlightRecord(17, ago_s)
+    log.close()
 
 
 async def full(path: Path) -> FileOrderLog:
     """One that knows an order, and who flies."""
-    ledger = opened(path, 1000.0, "boot", 50.0)
-    await ledger.begin("one")
-    await ledger.flies(17)
-    return ledger
+    log = opened(path, 1000.0, "boot", 50.0)
+    await log.begin("one")
+    await log.flies(17)
+    return log
 
 
 @pytest.mark.parametrize("how", ["removed", "replaced", "emptied", "folder"])
@@ -260,8 +262,8 @@ async def test_an_order_log_that_vanishes_while_the_agent_runs_is_made_again_and
     tmp_path: Path, how: str
 ) -> None:
     path = tmp_path / "site" / "a1.jsonl"
-    ledger, told = await full(path), list[str]()
-    ledger.tell = told.append
+    log, told = await full(path), list[str]()
+    log.tell = told.append
     if how == "replaced":
         path.rename(path.with_suffix(".old"))
         path.write_text("")
@@ -272,13 +274,13 @@ async def test_an_order_log_that_vanishes_while_the_agent_runs_is_made_again_and
     if how == "folder":
         path.with_suffix(".lock").unlink()
         path.parent.rmdir()
-    await ledger.begin("two")
-    await ledger.begin("three")
+    await log.begin("two")
+    await log.begin("three")
     assert len(told) == 1
     assert "was removed or changed" in told[0]
     with pytest.raises(UsageError, match="another agent has it"):
         opened(path, 1000.0, "boot", 51.0)
-    ledger.close()
+    log.close()
     again = opened(path, 1000.0, "boot", 51.0)
     assert list(again.begun) == ["one", "two", "three"]
     assert again.last_flight == LastFlightRecord(17, 1.0)
@@ -313,7 +315,7 @@ async def test_what_a_full_disk_refused_is_never_reported_as_begun(
 ) -> None:
     """It stood in a buffer, and was written with the next word when there was room again."""
     path = tmp_path / "a1.jsonl"
-    ledger = await full(path)
+    log = await full(path)
     write = os.pwrite
 
     def part(handle: int, data: bytes, at: int) -> int:
@@ -324,16 +326,16 @@ async def test_what_a_full_disk_refused_is_never_reported_as_begun(
     monkeypatch.setattr(os, "pwrite", part)
     for _ in range(3):
         with pytest.raises(UsageError, match="No space left"):
-            await ledger.begin("refused")
+            await log.begin("refused")
     for fence in (5000, 5000):
         with pytest.raises(UsageError, match="No space left"):
-            await ledger.granted(fence)
+            await log.granted(fence)
     with pytest.raises(UsageError, match="No space left"):
-        await ledger.flies(0)
+        await log.flies(0)
     monkeypatch.setattr(os, "pwrite", write)
-    await ledger.granted(5000)
-    await ledger.begin("two")
-    ledger.close()
+    await log.granted(5000)
+    await log.begin("two")
+    log.close()
     again = opened(path, 1000.0, "boot", 51.0)
     assert list(again.begun) == ["one", "two"]
     assert again.leases_before >= 5000
@@ -345,7 +347,7 @@ async def test_what_a_full_disk_refused_is_never_reported_as_begun(
 async def test_no_file_is_left_behind_by_a_disk_without_room(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    ledger = await full(tmp_path / "a1.jsonl")
+    log = await full(tmp_path / "a1.jsonl")
     (tmp_path / "a1.jsonl").unlink()
 
     def fail(_: int) -> None:
@@ -353,12 +355,12 @@ async def test_no_file_is_left_behind_by_a_disk_without_room(
 
     monkeypatch.setattr(os, "fsync", fail)
     with pytest.raises(UsageError, match="No space left"):
-        await ledger.begin("two")
+        await log.begin("two")
     monkeypatch.undo()
     with os.scandir(tmp_path) as entries:
         assert [one.name for one in entries] == ["a1.lock"]
-    await ledger.begin("three")
-    ledger.close()
+    await log.begin("three")
+    log.close()
 
 
 @pytest.mark.parametrize("error", [RuntimeError("can't start new thread"), MemoryError()])
@@ -366,18 +368,18 @@ async def test_a_computer_without_threads_or_memory_is_reported_as_a_disk_withou
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception
 ) -> None:
     """The agent on board would end by it, in the air: it keeps who flies in a loop."""
-    ledger = await full(tmp_path / "a1.jsonl")
+    log = await full(tmp_path / "a1.jsonl")
 
     async def fail(*_: object) -> None:
         raise error
 
     monkeypatch.setattr(asyncio, "to_thread", fail)
-    for keep in (ledger.begin("two"), ledger.flies(17), ledger.granted(10**6)):
+    for keep in (log.begin("two"), log.flies(17), log.granted(10**6)):
         with pytest.raises(UsageError, match=r"can't start new thread|MemoryError"):
             await keep
     monkeypatch.undo()
-    await ledger.begin("three")
-    ledger.close()
+    await log.begin("three")
+    log.close()
 
 
 @pytest.fixture
@@ -388,13 +390,13 @@ def disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Disk:
 async def test_a_word_is_on_the_disk_before_anything_is_done(tmp_path: Path, disk: Disk) -> None:
     """Not only with the kernel: the computer on board loses its power in a crash."""
     path = tmp_path / "a1.jsonl"
-    ledger = opened(path, 1000.0, "boot", 50.0)
-    await ledger.begin("an order")
+    log = opened(path, 1000.0, "boot", 50.0)
+    await log.begin("an order")
     assert b"an order" in disk.files["a1.jsonl"]
     before = disk.files["a1.jsonl"]
-    await ledger.granted(ledger.leases_before + FENCES_AT_ONCE + 1)
+    await log.granted(log.leases_before + FENCES_AT_ONCE + 1)
     assert disk.files["a1.jsonl"] != before, "numbers of leases are reserved on the disk as well"
-    ledger.close()
+    log.close()
     again = opened(path, 1000.0, "boot", 51.0)
     assert again.begun == {"an order": 50.0}
     again.close()
@@ -409,13 +411,13 @@ async def test_no_loss_of_power_leaves_a_ledger_that_cannot_tell_whether_words_a
     had been begun by then.
     """
     board = tmp_path / "a1.jsonl"
-    ledger = opened(board, 1000.0, "boot", 50.0)
+    log = opened(board, 1000.0, "boot", 50.0)
     assert set(disk.files) == {"a1.jsonl", "a1.lock"}
     assert all(one == (tmp_path / name).read_bytes() for name, one in disk.files.items())
-    await ledger.begin("one")
+    await log.begin("one")
     board.unlink()  # it is made again, with what is still needed
-    await ledger.begin("two")
-    ledger.close()
+    await log.begin("two")
+    log.close()
     written = [one for one in disk.moments if one.get("a1.jsonl")]
     assert all(one["a1.lock"] for one in written)
     for number, left in enumerate(written):
@@ -439,26 +441,26 @@ def test_a_start_after_damage_is_no_surer_who_flew_than_the_start_before(tmp_pat
     mark = f"{2:018d} {1:018d}"
     path.with_suffix(".lock").write_text(f"{crc32(mark.encode()):08x} {mark}\n")
     for _ in range(3):
-        ledger = opened(path, 1004.0, "boot", 10.0)
-        assert ledger.last_flight == LastFlightRecord(7, None)
-        ledger.close()
+        log = opened(path, 1004.0, "boot", 10.0)
+        assert log.last_flight == LastFlightRecord(7, None)
+        log.close()
 
 
 def test_a_number_that_no_float_holds_is_damage(tmp_path: Path) -> None:
     path = tmp_path / "a1.jsonl"
     path.write_text(sealed('{"flies": 7, "at": 1' + "0" * 400 + "}"))
-    ledger = opened(path, 1004.0, "boot", 10.0)
-    assert ledger.damaged == 1
+    log = opened(path, 1004.0, "boot", 10.0)
+    assert log.damaged == 1
 
 
 async def test_nobody_else_reads_a_ledger_or_holds_its_lock(tmp_path: Path) -> None:
-    ledger = opened(tmp_path / "site" / "a1.jsonl", 1000.0, "boot", 50.0)
-    await ledger.begin("an order")
+    log = opened(tmp_path / "site" / "a1.jsonl", 1000.0, "boot", 50.0)
+    await log.begin("an order")
     files = list((tmp_path / "site").iterdir())
     assert files
     assert {path.stat().st_mode & 0o777 for path in files} == {0o600}
     assert (tmp_path / "site").stat().st_mode & 0o777 == 0o700
-    ledger.close()
+    log.close()
 
 
 # -- what was heard is known, for a while ----------------------------------------------------------
@@ -469,75 +471,75 @@ def reply(identity: str) -> OrderReply:
 
 
 def test_an_order_runs_then_has_an_outcome() -> None:
-    book = OrderCache()
-    assert not book.is_known("a")
-    book.begin("a", b"a", 0.0)
-    assert book.is_known("a")
-    assert book.reply("a") is None
-    book.end(reply("a"), 0.0)
-    assert book.reply("a") == reply("a")
+    cache = OrderCache()
+    assert not cache.is_known("a")
+    cache.begin("a", b"a", 0.0)
+    assert cache.is_known("a")
+    assert cache.reply("a") is None
+    cache.end(reply("a"), 0.0)
+    assert cache.reply("a") == reply("a")
 
 
 def test_what_is_old_is_forgotten_but_not_what_runs() -> None:
-    book = OrderCache()
-    book.begin("a", b"a", 0.0)
-    book.end(reply("a"), 0.0)
-    book.begin("b", b"b", KEPT_S - 1)
-    assert book.is_known("a")
-    book.begin("c", b"c", KEPT_S)
-    assert not book.is_known("a")
-    assert book.is_known("b")
-    book.begin("d", b"d", 3 * KEPT_S)
-    assert book.is_known("b"), "it runs"
+    cache = OrderCache()
+    cache.begin("a", b"a", 0.0)
+    cache.end(reply("a"), 0.0)
+    cache.begin("b", b"b", KEPT_S - 1)
+    assert cache.is_known("a")
+    cache.begin("c", b"c", KEPT_S)
+    assert not cache.is_known("a")
+    assert cache.is_known("b")
+    cache.begin("d", b"d", 3 * KEPT_S)
+    assert cache.is_known("b"), "it runs"
 
 
 def test_an_id_is_that_of_one_order() -> None:
-    book = OrderCache()
-    assert not book.heard("a", b"a")
-    book.begin("a", b"a", 0.0)
+    cache = OrderCache()
+    assert not cache.heard("a", b"a")
+    cache.begin("a", b"a", 0.0)
     for _ in range(2):
-        assert book.heard("a", b"a")
+        assert cache.heard("a", b"a")
         with pytest.raises(MessageError, match="another order came under the id a"):
-            book.heard("a", b"b")
-        book.end(reply("a"), 0.0)
+            cache.heard("a", b"b")
+        cache.end(reply("a"), 0.0)
 
 
 def test_what_an_agent_before_began_is_known_as_that() -> None:
-    book = OrderCache(["a"])
-    assert book.was_begun_before("a")
-    assert not book.is_known("a")
-    assert not book.was_begun_before("b")
+    cache = OrderCache(["a"])
+    assert cache.was_begun_before("a")
+    assert not cache.is_known("a")
+    assert not cache.was_begun_before("b")
 
 
 def test_what_was_made_before_words_were_lost_may_have_been_begun() -> None:
-    book = OrderCache(["a"], unsure_before=10.0)
-    assert book.is_unsure(9.9)
-    assert not book.is_unsure(10.0)
+    cache = OrderCache(["a"], unsure_before=10.0)
+    assert cache.is_unsure(9.9)
+    assert not cache.is_unsure(10.0)
     assert not OrderCache(["a"]).is_unsure(-1e9)
 
 
 def test_it_does_not_grow_without_end() -> None:
-    book = OrderCache()
+    cache = OrderCache()
     for number in range(50_000):
-        book.begin(str(number), b"", number * 1e-3)
-        book.end(reply(str(number)), number * 1e-3)
-    assert sum(book.is_known(str(number)) for number in range(50_000)) <= 20_001
+        cache.begin(str(number), b"", number * 1e-3)
+        cache.end(reply(str(number)), number * 1e-3)
+    assert sum(cache.is_known(str(number)) for number in range(50_000)) <= 20_001
 
 
 def test_one_that_runs_for_long_keeps_no_other_one() -> None:
     """A mission of half an hour, begun first: what ended since is forgotten all the same."""
-    book = OrderCache()
-    book.begin("mission", b"", 0.0)
+    cache = OrderCache()
+    cache.begin("mission", b"", 0.0)
     for number in range(50_000):
-        book.begin(str(number), b"", number * 1e-3)
-        book.end(reply(str(number)), number * 1e-3)
-    book.begin("last", b"", 2000.0)
-    assert not any(book.is_known(str(number)) for number in range(50_000))
-    assert book.is_known("mission")
-    assert book.reply("mission") is None
-    book.end(reply("mission"), 2000.0)
-    book.begin("another", b"", 2000.0 + KEPT_S - 1)
-    assert book.reply("mission") == reply("mission"), "its client may still ask"
+        cache.begin(str(number), b"", number * 1e-3)
+        cache.end(reply(str(number)), number * 1e-3)
+    cache.begin("last", b"", 2000.0)
+    assert not any(cache.is_known(str(number)) for number in range(50_000))
+    assert cache.is_known("mission")
+    assert cache.reply("mission") is None
+    cache.end(reply("mission"), 2000.0)
+    cache.begin("another", b"", 2000.0 + KEPT_S - 1)
+    assert cache.reply("mission") == reply("mission"), "its client may still ask"
 
 
 # -- A word that was changed or is gone is noticed, whatever became of it --------------------------

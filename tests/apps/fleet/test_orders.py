@@ -27,7 +27,7 @@ async def take_off(pilot: Fleet, outcomes: list[Outcome]) -> None:
 
 
 @pytest.mark.parametrize("after", [0.0, 0.02, 0.1, 0.3, 0.6, 1.0, 1.5, 2.0, 3.0])
-async def test_who_takes_off_is_landed(rig: Rig, after: float) -> None:
+async def test_an_aircraft_that_takes_off_is_landed(rig: Rig, after: float) -> None:
     """As the order is heard, as the motors start, and in the climb."""
     one, pilot, other = await rig.aircraft("a1"), await rig.pilot(), await rig.pilot("other")
     await one.agent.ask(orders.Activate())
@@ -44,7 +44,7 @@ async def test_who_takes_off_is_landed(rig: Rig, after: float) -> None:
         assert one.height < 0.1, "it stays where it is wanted"
 
 
-async def test_who_lands_already_is_left_to_land(rig: Rig) -> None:
+async def test_an_aircraft_that_lands_already_is_left_to_land(rig: Rig) -> None:
     one, pilot, other = await rig.aircraft("a1"), await rig.pilot(), await rig.pilot("other")
 
     async def fly() -> None:
@@ -67,7 +67,7 @@ async def going_home(rig: Rig, one: OnBoard, pilot: Fleet) -> None:
             await control.go_home()
 
 
-async def test_who_flies_home_is_landed_where_it_is(rig: Rig) -> None:
+async def test_an_aircraft_that_flies_home_is_landed_where_it_is(rig: Rig) -> None:
     one, pilot, other = await rig.aircraft("a1"), await rig.pilot(), await rig.pilot("other")
     async with anyio.create_task_group() as group:
         group.start_soon(going_home, rig, one, pilot)
@@ -91,12 +91,12 @@ class FullDisk(MemoryOrderLog):
 
 
 @pytest.mark.parametrize("how", ["is_full", "hangs"])
-async def test_who_lands_waits_for_no_disk(rig: Rig, how: str) -> None:
-    ledger = FullDisk()
-    one, pilot = await rig.aircraft("a1", ledger=ledger), await rig.pilot()
+async def test_a_landing_waits_for_no_disk(rig: Rig, how: str) -> None:
+    order_log = FullDisk()
+    one, pilot = await rig.aircraft("a1", order_log=order_log), await rig.pilot()
     async with pilot["a1"].control() as control:
         await control.take_off()
-    setattr(ledger, how, True)
+    setattr(order_log, how, True)
     assert (await (await rig.pilot("other")).land())["a1"].outcome is Outcome.OK
     assert one.height < 0.1
     assert one.client.holder.number == 0

@@ -69,7 +69,7 @@ def server(folder: Path, host: str) -> ServerVerifier:
     return policy(folder, NOW).build_server_verifier(x509.DNSName(host))
 
 
-def test_who_has_a_certificate_is_known_by_its_common_name(folder: Path) -> None:
+def test_the_owner_of_a_certificate_is_known_by_its_common_name(folder: Path) -> None:
     for kind, name in ((Kind.AGENT, "a1"), (Kind.PILOT, "anna")):
         made = issue(folder, kind, name, now=NOW)
         certificate = loaded(made.certificate)
@@ -117,7 +117,7 @@ def test_another_authority_is_not_believed(folder: Path, tmp_path: Path) -> None
         clients(folder).verify(loaded(made.certificate), [])
 
 
-def test_who_was_issued_a_certificate_issues_none(folder: Path) -> None:
+def test_the_owner_of_a_certificate_issues_none(folder: Path) -> None:
     certificate = loaded(issue(folder, Kind.AGENT, "a1", now=NOW).certificate)
     constraints = certificate.extensions.get_extension_for_class(x509.BasicConstraints)
     assert constraints.critical
@@ -237,7 +237,7 @@ def test_lists_count_and_hold_everybody_who_was_ever_revoked(folder: Path) -> No
     assert listed(folder) == [("anna", NOW + timedelta(days=ISSUED_DAYS), "2026-11-22")]
 
 
-def test_who_is_revoked_gets_no_certificate_under_that_name_again(folder: Path) -> None:
+def test_a_revoked_name_gets_no_certificate_again(folder: Path) -> None:
     issue(folder, Kind.PILOT, "anna", now=NOW)
     revoke(folder, ["anna"], now=NOW)
     with pytest.raises(BadAuthority, match="anna is revoked since 2026-11-22"):
@@ -328,7 +328,7 @@ def test_part_of_a_name_is_written_as_zenoh_writes_it() -> None:
     assert "m100/site/a$*/lease" not in queries[0]["key_exprs"]
 
 
-def test_who_may_nothing_has_no_rule_but_is_known() -> None:
+def test_a_name_without_rights_has_no_rule_but_is_known() -> None:
     assert rules_of("identity none") == []
     found = router_config(RIGHTS)
     assert {"id": "identity none", "cert_common_names": ["none"]} in found["subjects"]

@@ -60,10 +60,10 @@ class Site:
     def __init__(self, rig: Rig, folder: Path) -> None:
         self.rig, self.ca = rig, folder / "ca"
         init(self.ca, now=NOW)
-        self.board = folder / "board"
-        self.board.mkdir()
-        (self.board / "ca.pem").write_bytes((self.ca / "ca.pem").read_bytes())
-        self.revocations = Revocations.of_folder(self.board, RIGHTS, apart=at_once)
+        self.onboard = folder / "board"
+        self.onboard.mkdir()
+        (self.onboard / "ca.pem").write_bytes((self.ca / "ca.pem").read_bytes())
+        self.revocations = Revocations.of_folder(self.onboard, RIGHTS, apart=at_once)
 
     async def begin(self, **options: Any) -> None:
         since = self.revocations.since
@@ -124,7 +124,7 @@ async def test_what_is_flown_hovers_and_nothing_more_is_obeyed(
         if way == "network":
             assert await site.push(data) == 1
         else:
-            (site.board / LIST).write_bytes(data)
+            (site.onboard / LIST).write_bytes(data)
         began = anyio.current_time()
         await rig.until(lambda: one.speed < 0.3, within=2.0 + (way == "file"))
         await rig.until(lambda: one.client.holder.number == 0, within=5.0)
@@ -237,10 +237,10 @@ async def test_a_newer_list_counts_and_an_older_one_never_again(site: Site) -> N
         await site.push(first)
     assert await site.push(second) == 2, "brought again it is no mistake"
     assert await site.push(b"") == 2
-    assert (site.board / LIST).read_bytes() == second
-    again = Revocations.of_folder(site.board, RIGHTS)
+    assert (site.onboard / LIST).read_bytes() == second
+    again = Revocations.of_folder(site.onboard, RIGHTS)
     assert (again.number, again.since("anna"), again.since("bert")) == (2, "2026-11-22", "")
-    (site.board / LIST).write_bytes(first)
+    (site.onboard / LIST).write_bytes(first)
     await anyio.sleep(3.0)
     assert site.revocations.number == 2
     assert any("list 1 of revoked names came, and list 2" in text for text in site.told)
@@ -256,15 +256,15 @@ async def test_a_list_that_nobody_of_authority_signed_changes_nothing(
     for number, other in enumerate(others, 1):
         with pytest.raises(M100Error, match="list of revoked names"):
             await site.push(other)
-        (site.board / LIST).write_bytes(other)
+        (site.onboard / LIST).write_bytes(other)
         await anyio.sleep(5.0)
         assert site.told.count(said) == number, "reported once, however often it is looked at"
     assert site.revocations.number == 0
     await site.bert["a1"].stop()
     with pytest.raises(BadRevoked):
-        Revocations.of_folder(site.board)  # an agent does not begin without its list
-    (site.board / LIST).unlink()
-    assert Revocations.of_folder(site.board).number == 0
+        Revocations.of_folder(site.onboard)  # an agent does not begin without its list
+    (site.onboard / LIST).unlink()
+    assert Revocations.of_folder(site.onboard).number == 0
 
 
 async def test_a_flood_of_lists_is_not_read(site: Site) -> None:
@@ -279,13 +279,13 @@ async def test_a_disk_that_does_not_take_it_is_reported_and_the_list_is_in_force
     site: Site,
 ) -> None:
     await site.begin()
-    (site.board / LIST).mkdir()
+    (site.onboard / LIST).mkdir()
     with pytest.raises(UsageError, match=LIST):
         await site.push(site.revoked("anna"))
     assert site.revocations.since("anna")
-    (site.board / LIST).rmdir()
+    (site.onboard / LIST).rmdir()
     assert await site.push(site.revoked("anna")) == 1, "brought once more it is kept"
-    assert (site.board / LIST).exists()
+    assert (site.onboard / LIST).exists()
 
 
 async def test_an_agent_that_does_not_know_lists_is_reported(rig: Rig) -> None:

@@ -40,7 +40,7 @@ async def test_a_port_that_is_taken_and_an_option_that_cannot_be() -> None:
 
 
 @pytest.mark.smoke
-async def test_who_is_patient_waits_for_the_router() -> None:
+async def test_a_patient_program_waits_for_the_router() -> None:
     place = free_place()
     async with AsyncExitStack() as stack:
 
@@ -63,7 +63,7 @@ async def test_who_is_patient_waits_for_the_router() -> None:
 
 
 @pytest.mark.parametrize("is_patient", [False, True], ids=["pilot", "agent"])
-async def test_who_begins_while_the_first_of_two_routers_is_dead_comes_to_the_second(
+async def test_a_program_that_begins_while_the_first_of_two_routers_is_dead_comes_to_the_second(
     is_patient: bool,
 ) -> None:
     dead, place = free_place(), free_place()
@@ -113,7 +113,7 @@ async def test_when_one_of_two_routers_ends_everybody_meets_at_the_other() -> No
             await until(told)
 
 
-async def test_who_is_at_one_router_meets_who_is_at_another_that_is_linked() -> None:
+async def test_programs_at_two_linked_routers_meet() -> None:
     one, other = free_place(), free_place()
     async with AsyncExitStack() as stack:
         # The first looks for one that is not there yet.

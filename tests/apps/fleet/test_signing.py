@@ -117,7 +117,9 @@ async def test_what_a_recorder_sends_on_changes_or_keeps_is_refused(rig: Rig) ->
     assert (await asked(recorder, fresh)).outcome is Outcome.NOT_ALLOWED, "too old by now"
 
 
-async def test_who_takes_the_proof_away_and_is_first_uses_up_no_order(rig: Rig) -> None:
+async def test_an_attacker_that_takes_the_proof_away_and_is_first_uses_up_no_order(
+    rig: Rig,
+) -> None:
     pilots = await fleet_of(rig)
     async with pilots["anna"]["a1"].control() as control:
         number, token = control.proof
@@ -171,7 +173,7 @@ def test_keys_and_certificates_are_those_of_the_folder(tmp_path: Path) -> None:
     assert router["enable_mtls"] is True
 
 
-async def test_who_may_watch_may_fetch_logs_and_nobody_else(rig: Rig) -> None:
+async def test_the_right_to_watch_allows_to_fetch_logs_and_nothing_else_does(rig: Rig) -> None:
     verify = verifying(RIGHTS, ["a1", "a2"], rig.utc)
 
     def question(signer: Signer | None, aircraft: str) -> OrderMessage:

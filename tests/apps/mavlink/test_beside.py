@@ -152,7 +152,7 @@ async def test_setpoints_that_go_on_are_not_flown_over_the_page(
         await rig.until(lambda: rig.speed > 2.0, within=4.0)
 
 
-async def test_who_takes_over_is_not_flown_against(
+async def test_a_station_that_takes_over_is_not_flown_against(
     rig: Rig, ground: Ground, page: AgentClient
 ) -> None:
     await ground.fly(5.0)

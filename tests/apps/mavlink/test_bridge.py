@@ -369,7 +369,7 @@ async def test_nothing_resumes_when_the_pilot_was_there_however_short(
         assert rig.speed < 0.1
 
 
-async def test_who_signs_is_not_kept_out_by_those_who_do_not() -> None:
+async def test_a_station_that_signs_is_not_kept_out_by_those_that_do_not() -> None:
     key = bytes(range(32))
     async with Rig(signer=PacketSigner(key)).running() as rig:
         beat = write_frame(MavlinkMessage("HEARTBEAT", {}), system=9, sequence=0)

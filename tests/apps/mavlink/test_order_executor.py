@@ -147,7 +147,9 @@ async def test_hold_pauses_it_and_mission_resumes_it(rig: Rig, ground: Ground) -
     await rig.until(lambda: reached(ground) == [0, 1, 2], within=120.0)
 
 
-async def test_who_presses_hold_and_mission_fast_gets_the_last(rig: Rig, ground: Ground) -> None:
+async def test_a_station_that_presses_hold_and_mission_fast_gets_the_last(
+    rig: Rig, ground: Ground
+) -> None:
     await begin(rig, ground, FAR)
     for mode in (Mode.HOLD, Mode.MISSION, Mode.HOLD, Mode.MISSION, Mode.HOLD):
         assert await ground.set_mode(mode) is MavResult.ACCEPTED

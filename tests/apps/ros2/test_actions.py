@@ -186,7 +186,7 @@ async def test_a_take_off_that_is_cancelled_ends_in_a_hover(rig: Rig, client: Cl
     assert 0.5 < rig.height < 2.0
 
 
-async def test_who_asked_is_killed_and_it_hovers(rig: Rig, client: Client) -> None:
+async def test_when_the_client_of_a_goal_is_killed_it_hovers(rig: Rig, client: Client) -> None:
     await client.up()
     goal = await client.send("~/fly_to", **client.place(60.0, 0.0), height=4.0, speed=6.0)
     assert goal is not None
@@ -198,7 +198,7 @@ async def test_who_asked_is_killed_and_it_hovers(rig: Rig, client: Client) -> No
     assert rig.speed < 0.3
 
 
-async def test_who_asked_stands_still_and_it_hovers(rig: Rig, client: Client) -> None:
+async def test_when_the_client_of_a_goal_stands_still_it_hovers(rig: Rig, client: Client) -> None:
     rig.bus.answering = {"5e5505"}
     await client.up()
     goal = await client.send("~/fly_to", **client.place(60.0, 0.0), height=4.0, speed=6.0)

@@ -43,14 +43,14 @@ def stick() -> SetpointMux:
     return made
 
 
-def test_who_begins_first_has_it(stick: SetpointMux) -> None:
+def test_a_program_that_begins_first_has_it(stick: SetpointMux) -> None:
     assert stick.hear(ONE, 0.0, 0.0) == ""
     assert stick.hear(OTHER, 0.1, 0.1) == "other"
     assert stick.hear(ONE, 0.2, 0.2) == ""
     assert stick.refused == {"late": 0, "other": 1, "closed": 0}
 
 
-def test_who_was_refused_has_to_be_silent_first(stick: SetpointMux) -> None:
+def test_a_program_that_was_refused_has_to_be_silent_first(stick: SetpointMux) -> None:
     stick.hear(ONE, 0.0, 0.0)
     for step in range(1, 20):
         assert stick.hear(OTHER, step / 10, step / 10) == "other"
@@ -58,7 +58,7 @@ def test_who_was_refused_has_to_be_silent_first(stick: SetpointMux) -> None:
     assert stick.hear(OTHER, 2.5, 2.5) == ""
 
 
-def test_who_was_silent_begins_anew(stick: SetpointMux) -> None:
+def test_a_program_that_was_silent_begins_anew(stick: SetpointMux) -> None:
     stick.hear(ONE, 0.0, 0.0)
     assert stick.hear(ONE, 5.0, 5.0) == ""
 
@@ -72,7 +72,7 @@ def steer(stick: SetpointMux, begin: float, end: float, number: int = 0) -> int:
     return number
 
 
-def test_who_paused_and_begins_anew_flies_whatever_it_counts(stick: SetpointMux) -> None:
+def test_a_program_that_paused_and_begins_anew_flies_whatever_it_counts(stick: SetpointMux) -> None:
     number = steer(stick, 0.0, 2.0)
     assert stick.hear(ONE, 4.0, 4.05, number + 1) == ""
     assert stick.hear(ONE, 6.0, 6.05, number + 1) == ""  # it does not count
@@ -87,7 +87,7 @@ def test_a_pause_may_be_a_tenth_shorter_where_it_is_made(
     assert stick.hear(ONE, made_s, 0.55, 2) == answer
 
 
-def test_who_was_cut_off_while_it_sent_does_not_fly_on(stick: SetpointMux) -> None:
+def test_a_program_that_was_cut_off_while_it_sent_does_not_fly_on(stick: SetpointMux) -> None:
     number = steer(stick, 0.0, 2.0)
     # What it sent between is lost.
     number = steer(stick, 3.0, 6.0, number + 20)
@@ -346,7 +346,7 @@ async def test_a_mission_that_waits_is_ended_for_good(
 # -- those who ask for much -----------------------------------------------------------------------
 
 
-async def test_who_waits_for_results_keeps_nobody_from_stopping_and_landing(
+async def test_a_program_that_waits_for_results_keeps_nobody_from_stopping_and_landing(
     rig: Rig, client: Client
 ) -> None:
     await client.up()
@@ -369,7 +369,9 @@ async def test_who_waits_for_results_keeps_nobody_from_stopping_and_landing(
     assert {one.get("status") for one in answers} == {GoalStatus.CANCELED, None}
 
 
-async def test_who_asks_for_very_many_parameters_has_no_answer(rig: Rig, program: Program) -> None:
+async def test_a_program_that_asks_for_very_many_parameters_has_no_answer(
+    rig: Rig, program: Program
+) -> None:
     for name in ("get_parameters", "describe_parameters", "get_parameter_types"):
         kind = "rcl_interfaces/srv/" + "".join(one.capitalize() for one in name.split("_"))
         for many in (65, 4000, 60000):
@@ -382,7 +384,7 @@ async def test_who_asks_for_very_many_parameters_has_no_answer(rig: Rig, program
 
 
 @pytest.mark.parametrize("stop", [_stop, _stop_at_the_console])
-async def test_who_sends_speeds_during_a_goal_does_not_fly_after_stop(
+async def test_a_program_that_sends_speeds_during_a_goal_does_not_fly_after_stop(
     rig: Rig, client: Client, stop: Callable[[Rig], Awaitable[None]]
 ) -> None:
     await client.up()

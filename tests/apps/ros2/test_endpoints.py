@@ -44,7 +44,7 @@ def bus() -> RecordingBus:
     return made
 
 
-def test_who_stops_answering_is_missing_within_two_seconds(bus: RecordingBus) -> None:
+def test_a_program_that_stops_answering_is_missing_within_two_seconds(bus: RecordingBus) -> None:
     clock = Clock(bus, "aa", "bb")
     assert clock.until_missing(5.0) is None
     bus.answering.remove("bb")
@@ -53,7 +53,7 @@ def test_who_stops_answering_is_missing_within_two_seconds(bus: RecordingBus) ->
     assert SILENCE_S - ASK_S <= took <= SILENCE_S + 2 * STEP_S
 
 
-def test_who_never_answers_is_left_to_its_lease(bus: RecordingBus) -> None:
+def test_a_caller_that_never_answers_is_left_to_its_lease(bus: RecordingBus) -> None:
     clock = Clock(bus, "aa", "cc")
     assert clock.until_missing(10.0) is None
     assert "cc" in bus.asked

@@ -164,7 +164,7 @@ def test_those_who_can_call_are_known_until_one_is_gone() -> None:
     assert set(presence.clients(TOPIC)) == {token("a")}
 
 
-def test_who_went_and_is_back_within_a_step_was_gone() -> None:
+def test_a_node_that_went_and_is_back_within_a_step_was_gone() -> None:
     inbox = MemoryInbox[TokenChange](99)
     presence = GraphDiscovery(lambda: inbox)
     inbox.waiting.append(TokenChange(token("a"), True))

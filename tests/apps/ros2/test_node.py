@@ -274,7 +274,9 @@ async def test_junk_is_counted_and_moves_nothing(rig: Rig, program: Program) -> 
     assert (await program.call("~/land"))["success"]
 
 
-async def test_who_asks_all_services_at_once_asks_none(rig: Rig, program: Program) -> None:
+async def test_a_program_that_asks_all_services_at_once_asks_none(
+    rig: Rig, program: Program
+) -> None:
     assert (await program.call("~/obtain_control"))["success"]
     for pattern in ("0/m100/**", "0/*/takeoff/**"):
         assert await program.ask(pattern, "~/takeoff", SERVICES["~/takeoff"].kind) is None

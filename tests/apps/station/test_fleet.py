@@ -35,7 +35,7 @@ async def rig() -> AsyncIterator[Rig]:
         yield made
 
 
-async def test_who_is_there_is_shown_and_who_is_not_is_named(rig: Rig) -> None:
+async def test_aircraft_that_are_there_are_shown_and_missing_ones_named(rig: Rig) -> None:
     pilot = await rig.pilot()
     with pytest.raises(UsageError, match="there is no agent at site field"):
         await names_of(pilot)

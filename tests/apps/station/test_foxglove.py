@@ -103,7 +103,7 @@ def test_what_makes_no_sense_is_reported_and_does_nothing(frame: str | bytes) ->
     assert one.close_reason is None
 
 
-def test_who_talks_without_end_has_to_go() -> None:
+def test_a_client_that_talks_without_end_has_to_go() -> None:
     one = viewer()
     for _ in range(150):
         one.receive("{}", 0.0)
@@ -191,7 +191,7 @@ async def test_every_channel_brings_what_its_schema_says() -> None:
         assert min(after - before for before, after in pairwise(seen)) > 0.049e9
 
 
-async def test_who_has_no_business_is_refused_before_the_socket_is_accepted() -> None:
+async def test_a_stranger_is_refused_before_the_socket_is_accepted() -> None:
     async with station(foxglove_port=0, token=TOKEN) as one:
         for query, options in (
             (f"?token={TOKEN}", {"origin": "http://evil.example"}),

@@ -264,7 +264,7 @@ def test_the_node_stands_still(site: Site) -> None:
     program.kill()
 
 
-def test_who_sent_a_goal_is_killed(site: Site) -> None:
+def test_the_client_of_a_goal_is_killed(site: Site) -> None:
     site.up()
     north = LocalFrame(*PLACE).to_geodetic(120.0, 0.0)
     program = site.run("plain.py", "goal", site.names[0], *map(str, north))
@@ -275,7 +275,7 @@ def test_who_sent_a_goal_is_killed(site: Site) -> None:
     assert site.truth()["north"] < 110.0
 
 
-def test_who_sent_a_goal_stands_still(site: Site) -> None:
+def test_the_client_of_a_goal_stands_still(site: Site) -> None:
     site.up()
     north = LocalFrame(*PLACE).to_geodetic(120.0, 0.0)
     program = site.run("plain.py", "goal", site.names[0], *map(str, north))

@@ -160,7 +160,7 @@ async def test_a_pilot_who_comes_back_does_not_fly_for_another_client(rig: Rig) 
 
 
 @pytest.mark.parametrize("state", [S.OBTAINING, S.RESUMING])
-async def test_who_takes_over_while_another_one_is_given_authority_has_to_ask(
+async def test_a_client_that_takes_over_while_another_one_is_given_authority_has_to_ask(
     rig: Rig, state: HoldingState
 ) -> None:
     async def take_over() -> None:
@@ -208,7 +208,7 @@ async def test_a_lost_link_ends_the_wish(rig: Rig) -> None:
     assert rig.states.count(S.OBTAINING) == 1
 
 
-async def test_who_waits_for_control_no_more_takes_it_from_nobody(rig: Rig) -> None:
+async def test_a_client_that_waits_for_control_no_more_takes_it_from_nobody(rig: Rig) -> None:
     """Two clients wait for one request, and one of them is cancelled."""
     done: list[str] = []
 
@@ -290,7 +290,7 @@ async def test_the_first_agent_of_a_station_takes_nothing_from_anybody(rig: Rig)
         assert told(agent) == []
 
 
-async def test_who_asks_at_once_has_it_and_keeps_it(rig: Rig) -> None:
+async def test_a_client_that_asks_at_once_has_it_and_keeps_it(rig: Rig) -> None:
     await killed_in_flight(rig)
     async with next_agent(rig) as agent:
         token = agent.leases.acquire("the next", agent.now).token

@@ -455,7 +455,7 @@ async def test_the_rest_is_reported_at_the_beginning(
     assert seconds is None or expected == pytest.approx(seconds, rel=0.35)
 
 
-async def test_who_flies_slowly_is_given_the_time_for_it(pointing: Pointing) -> None:
+async def test_a_slow_flight_is_given_the_time_for_it(pointing: Pointing) -> None:
     """Half a metre a second is a minute for thirty metres."""
     await pointing.fly(pointing.place(30, 0, speed=0.5))
     assert pointing.off(30, 0) < 1.0

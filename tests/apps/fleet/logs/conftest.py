@@ -30,7 +30,7 @@ def bytes_of(size: int) -> bytes:
 
 
 @pytest.fixture
-def shelf(tmp_path: Path) -> Path:
+def directory(tmp_path: Path) -> Path:
     """The folder on board, with one log."""
     folder = tmp_path / "board"
     folder.mkdir()
@@ -55,15 +55,15 @@ class AtOnce(OwnThreads):
 class Road:
     """An aircraft's logs at one end of a network, and who fetches at the other."""
 
-    def __init__(self, shelf: Path) -> None:
+    def __init__(self, directory: Path) -> None:
         self.network = MemoryNetwork(seed=3)
-        self.shelf = shelf
-        self.board = self.network.session()
+        self.directory = directory
+        self.onboard = self.network.session()
         self.here = self.network.session()
-        self.token = self.board.declare(KEYS.live_by(self.board.session))
+        self.token = self.onboard.declare(KEYS.live_by(self.onboard.session))
 
     def service(self, **options: Any) -> LogService:
-        return LogService(self.board, KEYS, self.shelf, **{"apart": AtOnce()} | options)
+        return LogService(self.onboard, KEYS, self.directory, **{"apart": AtOnce()} | options)
 
     def asker(self, bus: MemoryBus | None = None, **options: Any) -> Asker:
         return Asker(bus or self.here, KEYS, "anna", **{"utc": lambda: UTC} | options)
@@ -73,9 +73,9 @@ class Road:
 
 
 @pytest.fixture
-async def road(shelf: Path, monkeypatch: pytest.MonkeyPatch) -> Road:
+async def road(directory: Path, monkeypatch: pytest.MonkeyPatch) -> Road:
     async def at_once(work: Callable[..., object], *arguments: object) -> object:
         return work(*arguments)
 
     monkeypatch.setattr(fetching, "_in_thread", at_once)
-    return Road(shelf)
+    return Road(directory)

@@ -78,8 +78,8 @@ async def test_bad_weather_delays_it_and_changes_nothing(road: Road, tmp_path: P
 
 async def test_an_agent_that_is_gone_for_a_while_is_waited_for(road: Road, tmp_path: Path) -> None:
     def cut() -> None:
-        road.network.cut(road.board)
-        asyncio.get_running_loop().call_later(3.0, road.network.join, road.board)
+        road.network.cut(road.onboard)
+        asyncio.get_running_loop().call_later(3.0, road.network.join, road.onboard)
 
     async with serving(road):
         fetched = await road.fetcher().fetch(to=tmp_path, progress=Steps(PIECE, cut))
@@ -88,12 +88,12 @@ async def test_an_agent_that_is_gone_for_a_while_is_waited_for(road: Road, tmp_p
 
 async def test_one_that_does_not_come_back_leaves_what_came(road: Road, tmp_path: Path) -> None:
     async with serving(road):
-        cut = Steps(2 * PIECE, lambda: road.network.cut(road.board))
+        cut = Steps(2 * PIECE, lambda: road.network.cut(road.onboard))
         began = anyio.current_time()
         with pytest.raises(Unreachable, match=f"131,072 of 300,000 bytes are in .*{FIRST}.part"):
             await road.fetcher().fetch(to=tmp_path, progress=cut)
         assert anyio.current_time() - began < PATIENCE_S + 5.0
-        road.network.join(road.board)
+        road.network.join(road.onboard)
         fetched = await road.fetcher().fetch(to=tmp_path)
     assert fetched.came == 300_000 - 2 * PIECE
 
@@ -111,7 +111,7 @@ async def test_an_agent_that_knows_no_logs_is_said_with_what_to_do(road: Road) -
 
 async def test_a_log_that_is_removed_meanwhile_is_reported(road: Road, tmp_path: Path) -> None:
     async with serving(road):
-        gone = Steps(2 * PIECE, (road.shelf / FIRST).unlink)
+        gone = Steps(2 * PIECE, (road.directory / FIRST).unlink)
         with pytest.raises(UsageError, match=r"No such file.*131,072 of"):
             await road.fetcher().fetch(to=tmp_path, progress=gone)
 
@@ -119,7 +119,7 @@ async def test_a_log_that_is_removed_meanwhile_is_reported(road: Road, tmp_path:
 async def test_a_log_that_is_written_still_comes_as_what_is_there(
     road: Road, tmp_path: Path
 ) -> None:
-    path = road.shelf / SECOND
+    path = road.directory / SECOND
     path.write_bytes(bytes_of(100_000))
     name, writing = path.name, path.open("rb")
     fcntl.flock(writing, fcntl.LOCK_EX)  # as who records has it
@@ -164,7 +164,7 @@ async def test_a_log_that_changes_on_board_is_not_said_to_be_whole(
     road: Road, tmp_path: Path
 ) -> None:
     def change() -> None:
-        (road.shelf / FIRST).write_bytes(b"y" * 300_000)
+        (road.directory / FIRST).write_bytes(b"y" * 300_000)
 
     async with serving(road):
         with pytest.raises(FleetError, match="differs from the log of a1"):
@@ -174,7 +174,7 @@ async def test_a_log_that_changes_on_board_is_not_said_to_be_whole(
 
 async def test_a_log_that_becomes_shorter_is_reported(road: Road, tmp_path: Path) -> None:
     def cut() -> None:
-        (road.shelf / FIRST).write_bytes(bytes_of(300_000)[: PIECE + 5])
+        (road.directory / FIRST).write_bytes(bytes_of(300_000)[: PIECE + 5])
 
     async with serving(road):
         with pytest.raises(UsageError, match="ends at 65541 bytes"):
@@ -197,12 +197,12 @@ async def test_a_piece_of_another_place_or_length_is_not_taken(
 async def test_several_fetch_at_once_and_a_slow_one_holds_up_nobody(
     road: Road, tmp_path: Path
 ) -> None:
-    (road.shelf / SECOND).write_bytes(bytes_of(200_000))
+    (road.directory / SECOND).write_bytes(bytes_of(200_000))
     ends: dict[str, float] = {}
 
     async def fetch(log: str, folder: str) -> None:
         fetched = await road.fetcher().fetch(log, tmp_path / folder)
-        assert fetched.path.read_bytes() == (road.shelf / log).read_bytes()
+        assert fetched.path.read_bytes() == (road.directory / log).read_bytes()
         ends[folder] = anyio.current_time()
 
     async with serving(road):
@@ -232,7 +232,7 @@ async def test_what_an_aircraft_names_does_not_lead_out_of_the_folder(
         entries = [LogEntry("../../evil.mcap", 3, 9e9, False), LogEntry("/tmp/x", 3, 9e9, False)]
         question.answer(KEYS.log, pack_reply(LogReply(order.id, "a1"), pack_entries(entries)))
 
-    road.board.serve(KEYS.log, answer)
+    road.onboard.serve(KEYS.log, answer)
     assert await road.fetcher().logs() == []
     with pytest.raises(UsageError, match="has no logs"):
         await road.fetcher().fetch(to=tmp_path)
@@ -249,6 +249,6 @@ async def test_a_name_that_is_not_there_is_reported_with_what_to_do(road: Road) 
 
 async def test_junk_in_place_of_answers_is_said_and_never_believed(road: Road) -> None:
     junk = bytes([VERSION]) + b"junk\n"
-    road.board.serve(KEYS.log, lambda question: question.answer(KEYS.log, junk))
+    road.onboard.serve(KEYS.log, lambda question: question.answer(KEYS.log, junk))
     with pytest.raises(MessageError, match="not a LogReply: this is not JSON"):
         await LogFetcher(road.asker(), patience=2.0).logs()

@@ -68,7 +68,7 @@ async def test_what_is_not_there_or_not_for_it_is_refused_with_its_reason(road: 
         assert reply.outcome is Outcome.REFUSED
 
 
-async def test_who_may_not_watch_gets_nothing(road: Road) -> None:
+async def test_a_client_that_may_not_watch_gets_nothing(road: Road) -> None:
     def verify(order: OrderMessage) -> None:
         raise NotAllowed("bert may not watch a1")
 
@@ -198,40 +198,40 @@ def wanted() -> bool:
     return True
 
 
-def test_the_newest_stands_first_and_what_is_written_is_said(shelf: Path) -> None:
-    os.utime(shelf / FIRST, (1000.0, 1000.0))
-    recorder = Recorder(shelf)
-    names = {one.log: one for one in LogDirectory(shelf).entries()}
+def test_the_newest_stands_first_and_what_is_written_is_said(directory: Path) -> None:
+    os.utime(directory / FIRST, (1000.0, 1000.0))
+    recorder = Recorder(directory)
+    names = {one.log: one for one in LogDirectory(directory).entries()}
     assert list(names) == [recorder.path.name, FIRST]
     assert (names[FIRST].size, names[FIRST].at, names[FIRST].is_written) == (300_000, 1000.0, False)
     assert names[recorder.path.name].is_written
     recorder._end()
 
 
-def test_a_piece_ends_where_the_log_does(shelf: Path) -> None:
-    data, entry = LogDirectory(shelf).piece(FIRST, 299_990, 64)
+def test_a_piece_ends_where_the_log_does(directory: Path) -> None:
+    data, entry = LogDirectory(directory).piece(FIRST, 299_990, 64)
     assert data == bytes_of(300_000)[-10:]
     assert entry.size == 300_000
-    assert LogDirectory(shelf).piece(FIRST, 400_000, 64)[0] == b""
+    assert LogDirectory(directory).piece(FIRST, 400_000, 64)[0] == b""
 
 
-def test_the_digest_is_of_the_first_bytes(shelf: Path) -> None:
-    found = LogDirectory(shelf).digest(FIRST, 1000, wanted)
+def test_the_digest_is_of_the_first_bytes(directory: Path) -> None:
+    found = LogDirectory(directory).digest(FIRST, 1000, wanted)
     assert found == hashlib.sha256(bytes_of(300_000)[:1000]).digest()
     with pytest.raises(UsageError, match="it has 300000 bytes"):
-        LogDirectory(shelf).digest(FIRST, 300_001, wanted)
+        LogDirectory(directory).digest(FIRST, 300_001, wanted)
     with pytest.raises(UsageError, match="the agent ends"):
-        LogDirectory(shelf).digest(FIRST, 1000, lambda: False)
+        LogDirectory(directory).digest(FIRST, 1000, lambda: False)
 
 
-def test_no_name_leads_out_and_no_link_anywhere(shelf: Path) -> None:
-    secret = shelf.parent / FIRST
+def test_no_name_leads_out_and_no_link_anywhere(directory: Path) -> None:
+    secret = directory.parent / FIRST
     secret.write_bytes(b"secret")
-    (shelf / SECOND).symlink_to(secret)
-    (shelf / "m100link-20260101-000002.mcap").mkdir()
-    os.mkfifo(shelf / "m100link-20260101-000003.mcap")
-    (shelf / "notes.mcap").write_bytes(b"theirs")
-    one = LogDirectory(shelf)
+    (directory / SECOND).symlink_to(secret)
+    (directory / "m100link-20260101-000002.mcap").mkdir()
+    os.mkfifo(directory / "m100link-20260101-000003.mcap")
+    (directory / "notes.mcap").write_bytes(b"theirs")
+    one = LogDirectory(directory)
     assert [entry.log for entry in one.entries()] == [FIRST]
     for name in (
         SECOND,

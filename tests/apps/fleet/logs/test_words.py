@@ -134,7 +134,7 @@ def test_two_programs_do_not_write_one_part(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("ends", [LogPart.finish, LogPart.close])
-def test_who_comes_as_the_one_before_ends_does_not_get_what_became_of_its_part(
+def test_the_next_one_does_not_get_the_outcome_of_an_earlier_part(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ends: Callable[[LogPart], None]
 ) -> None:
     """It was opened while the other program had it, and locked when that had it no more."""

@@ -144,8 +144,8 @@ async def test_a_start_that_is_repeated_starts_once_and_one_that_is_late_not_at_
 async def test_an_agent_that_begins_anew_does_not_start_it_a_second_time(rig: Rig) -> None:
     one = await on_board(rig)
     identity = uuid.uuid4().hex
-    one.ledger.begun[identity] = rig.utc()
-    second = await rig.aircraft("a2", virtual=one.aircraft, ledger=one.ledger)
+    one.order_log.begun[identity] = rig.utc()
+    second = await rig.aircraft("a2", virtual=one.aircraft, order_log=one.order_log)
     result = None
     pilot = await rig.pilot()
     async with pilot["a2"].control() as control:

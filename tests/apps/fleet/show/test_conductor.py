@@ -202,7 +202,9 @@ async def test_one_that_is_not_there_is_named_and_nobody_takes_off(rig: Rig) -> 
     ("sign", "said"),
     [(None, "signed by nobody"), (signing(Signer("bert", b"b" * 32)), "bert may not fly")],
 )
-async def test_who_may_not_fly_conducts_nothing(rig: Rig, sign: Any, said: str) -> None:
+async def test_an_operator_without_the_right_to_fly_conducts_nothing(
+    rig: Rig, sign: Any, said: str
+) -> None:
     async with company(rig, 1) as made:
         with pytest.raises(NotAllowed, match=said):
             await made.conductor(sign=sign).fly()

@@ -221,7 +221,7 @@ async def test_what_was_ordered_before_it_ended_and_comes_later_does_not_take_of
     assert (await asked.order(PLACE, 21)).outcome is Outcome.OK
 
 
-async def test_who_conducts_another_show_does_nothing_to_it(asked: Conductor) -> None:
+async def test_the_conductor_of_another_show_does_nothing_to_it(asked: Conductor) -> None:
     """Not even that it waits for the second one where the first one has gone."""
     await asked.order(replace(PIECE, run="a"), 1)
     await asked.order(replace(LOAD, run="a"), 2)

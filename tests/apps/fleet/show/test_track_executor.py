@@ -156,7 +156,7 @@ async def test_an_activation_that_takes_longer_than_a_lease_lasts_is_waited_for(
 
 @pytest.mark.parametrize("stage", [PLACING, READY])
 @pytest.mark.parametrize("leave", ["hover", "land"])
-async def test_who_conducts_is_missed_before_the_beginning(
+async def test_the_conductor_is_missed_before_the_beginning(
     stand: Stand, stage: ShowStage, leave: Leave
 ) -> None:
     performer = await stand.to(stage, leave=leave)

@@ -324,7 +324,7 @@ def test_a_clock_that_was_set_back_takes_and_signs_nothing_old(tmp_path: Path) -
     assert signer.sent > NOW
 
 
-def test_who_has_a_later_clock_does_not_refuse_what_is_signed_here() -> None:
+def test_a_station_that_has_a_later_clock_does_not_refuse_what_is_signed_here() -> None:
     signer = PacketSigner(KEY)
     assert is_taken(signer, ping(NOW + 10 * NEW_WITHIN), NOW)
     signer.sign(b"", NOW)

@@ -470,7 +470,7 @@ def fly_north(ground: Ground, speed: float) -> None:
 
 
 @pytest.mark.parametrize("lost", ["position", "GPS", "velocity"])
-async def test_who_does_not_know_where_it_is_flies_on_before_no_fence(
+async def test_an_aircraft_without_a_position_flies_on_before_no_fence(
     rig: Rig, ground: Ground, lost: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     await upload_fence(ground, *corners((-20, -20), (50, -20), (50, 20), (-20, 20)))

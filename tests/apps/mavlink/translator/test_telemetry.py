@@ -415,7 +415,7 @@ def test_what_one_asks_for_changes_nothing_for_another() -> None:
     assert there["SYS_STATUS", THERE[1]] == 20
 
 
-def test_who_asks_again_gets_what_it_asked_for_last_and_the_usual_for_nothing() -> None:
+def test_a_station_that_asks_again_gets_what_it_asked_for_last_and_the_usual_for_nothing() -> None:
     one = rates()
     for begin, hz, expected in ((0, 5.0, 50), (10, 0.5, 5), (20, None, 20), (30, -3.0, 0)):
         one.set_hz("SYS_STATUS", hz, FIRST)

@@ -122,7 +122,7 @@ def test_a_lease_that_the_bridge_gives_back_is_nobody_elses() -> None:
     assert [*phases, one.phase] == [VehiclePhase.FREE, VehiclePhase.OTHER]
 
 
-def test_who_has_control_is_named_where_a_wish_is_refused() -> None:
+def test_the_holder_of_control_is_named_where_a_mode_is_refused() -> None:
     assert world(AIR, P).explain(VehiclePhase.PILOT) == "the pilot flies: the mode switch is in P"
     unknown = world(AIR, no_switch=True).explain(VehiclePhase.PILOT)
     assert unknown == "the pilot flies: the mode switch is unknown"

@@ -91,7 +91,7 @@ async def test_beats_reach_the_aircraft_of_their_page_and_no_other(fleet: Fleet)
     assert crow.tab.session.has_lease
 
 
-async def test_who_turns_to_another_stops_the_first_and_keeps_control_of_both(
+async def test_an_operator_who_turns_to_another_stops_the_first_and_keeps_control_of_both(
     fleet: Fleet,
 ) -> None:
     first = await fleet.flown("kite")
@@ -182,7 +182,9 @@ async def told(rig: Rig) -> list[Event]:
     return list(rig.front.events)
 
 
-async def test_who_has_no_control_stops_nobody_by_looking_elsewhere(fleet: Fleet) -> None:
+async def test_an_operator_who_has_no_control_stops_nobody_by_looking_elsewhere(
+    fleet: Fleet,
+) -> None:
     pilot = await fleet.flown("kite")
     onlooker = fleet.page("kite")
     await pilot.hold(0.3, **NORTH)
@@ -350,7 +352,7 @@ async def test_in_whatever_order_an_aircraft_has_one_hand_and_in_the_end_none(
 HERE = "aircraft"
 
 
-class Desk:
+class Screen:
     """The words of one console, with an aircraft that stands on the ground."""
 
     def __init__(self, rig: Rig) -> None:
@@ -370,38 +372,38 @@ class Desk:
 
 
 @pytest.fixture
-async def desk(rig: Rig) -> Desk:
-    made = Desk(rig)
+async def screen(rig: Rig) -> Screen:
+    made = Screen(rig)
     await anyio.sleep(1.0)
     return made
 
 
 async def test_a_word_lasts_as_long_as_without_the_reload(
-    desk: Desk, monkeypatch: pytest.MonkeyPatch
+    screen: Screen, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(kept, "FREE_FOR_S", 5.0)  # minutes of telemetry take a while
-    began = desk.rig.front.now
-    desk.say()
+    began = screen.rig.front.now
+    screen.say()
     await anyio.sleep(4.0)
-    assert desk.said_at() == began  # and not from the reload on
+    assert screen.said_at() == began  # and not from the reload on
     await anyio.sleep(2.0)
-    assert desk.said_at() is None
+    assert screen.said_at() is None
 
 
-async def test_a_word_is_of_one_person_and_one_aircraft(desk: Desk) -> None:
-    desk.say()
+async def test_a_word_is_of_one_person_and_one_aircraft(screen: Screen) -> None:
+    screen.say()
     await anyio.sleep(1.0)
-    assert desk.said_at("guessed") is None
-    assert desk.said_at("") is None
-    assert desk.said_at(aircraft="kite") is None
-    assert desk.said_at() is not None
+    assert screen.said_at("guessed") is None
+    assert screen.said_at("") is None
+    assert screen.said_at(aircraft="kite") is None
+    assert screen.said_at() is not None
 
 
-async def test_a_word_that_was_taken_back_does_not_come_again(desk: Desk) -> None:
-    desk.say()
-    desk.say(is_free=False)
+async def test_a_word_that_was_taken_back_does_not_come_again(screen: Screen) -> None:
+    screen.say()
+    screen.say(is_free=False)
     await anyio.sleep(1.0)
-    assert desk.said_at() is None
+    assert screen.said_at() is None
 
 
 async def fly(rig: Rig) -> None:
@@ -430,26 +432,26 @@ async def fall_silent(rig: Rig) -> None:
 
 @pytest.mark.parametrize("happens", [fly, unplug, fall_silent])
 async def test_an_aircraft_that_may_be_at_another_place_has_to_be_looked_at(
-    desk: Desk, happens: Callable[[Rig], Awaitable[None]]
+    screen: Screen, happens: Callable[[Rig], Awaitable[None]]
 ) -> None:
-    desk.say()
-    await happens(desk.rig)
-    assert desk.said_at() is None
-    desk.say()
+    screen.say()
+    await happens(screen.rig)
+    assert screen.said_at() is None
+    screen.say()
     await anyio.sleep(1.0)
-    assert desk.said_at() is not None
+    assert screen.said_at() is not None
 
 
 async def test_a_station_that_stood_still_saw_nothing(
-    desk: Desk, monkeypatch: pytest.MonkeyPatch
+    screen: Screen, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    desk.say()
-    keep = desk.history.add
-    monkeypatch.setattr(desk.history, "add", lambda *row: None)
+    screen.say()
+    keep = screen.history.add
+    monkeypatch.setattr(screen.history, "add", lambda *row: None)
     await anyio.sleep(3.0)
-    monkeypatch.setattr(desk.history, "add", keep)
+    monkeypatch.setattr(screen.history, "add", keep)
     await anyio.sleep(3.0)
-    assert desk.said_at() is None
+    assert screen.said_at() is None
 
 
 def test_the_oldest_persons_are_forgotten() -> None:

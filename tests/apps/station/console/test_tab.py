@@ -297,7 +297,7 @@ async def test_a_take_over_stops_the_motion_and_keeps_authority(rig: Rig) -> Non
     assert rig.moves[-1].roll_or_x == 2
 
 
-async def test_who_lost_the_lease_knows_to_whom(rig: Rig) -> None:
+async def test_an_operator_who_lost_the_lease_knows_to_whom(rig: Rig) -> None:
     browser, other = await airborne(rig), Browser(rig, "Anna")
     await other.tab.session.confirm(await other.tab.session.ask_take_over())
     end = browser.tab.session.lease_end
@@ -319,7 +319,7 @@ async def test_a_lease_that_expired_was_taken_by_nobody(rig: Rig) -> None:
     assert (end.name, end.why) == ("", LeaseChange.EXPIRED)
 
 
-async def test_who_took_authority_is_known_until_it_is_held_again(rig: Rig) -> None:
+async def test_the_taker_of_authority_is_known_until_it_is_held_again(rig: Rig) -> None:
     browser = await airborne(rig)
     rig.aircraft.set_rc_mode(RcMode.P)
     await keep_alive(browser, rig.until(lambda: browser.tab.session.loss is not None, within=2.0))
@@ -429,7 +429,9 @@ def speed(rig: Rig) -> float:
     return velocity.ground_speed_m_s
 
 
-async def test_who_holds_something_while_somebody_presses_stop_has_to_let_go(rig: Rig) -> None:
+async def test_an_operator_who_holds_something_while_somebody_presses_stop_has_to_let_go(
+    rig: Rig,
+) -> None:
     flying, other = await airborne(rig), Browser(rig, "other")
     await flying.hold(1.0, x=-8)
     assert speed(rig) > 0.3

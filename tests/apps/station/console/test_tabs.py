@@ -112,7 +112,7 @@ async def test_a_socket_is_for_a_tab_that_was_opened_and_for_one_at_a_time(rig: 
     assert page.is_open
 
 
-async def test_who_never_said_anything_makes_room(rig: Rig, places: int) -> None:
+async def test_an_operator_who_never_said_anything_makes_room(rig: Rig, places: int) -> None:
     tabs = Tabs({"m100": rig.front})
     pages = [Page(rig, tabs) for _ in range(places)]
     await anyio.sleep(0.1)

@@ -67,7 +67,7 @@ def test_beyond_the_total_the_peer_with_the_most_loses_one() -> None:
     assert len(door) == 5
 
 
-def test_who_left_does_not_count() -> None:
+def test_a_client_that_left_does_not_count() -> None:
     door = ConnectionLimit(per_peer=1)
     for _ in range(10):
         one = Visitor()
@@ -195,7 +195,7 @@ async def test_a_client_that_reads_slowly_keeps_nobody_waiting() -> None:
 
 
 @pytest.mark.parametrize("after", [0.05, 0.15, 0.45])
-async def test_who_leaves_leaves_the_turn_to_the_next(after: float) -> None:
+async def test_a_client_that_leaves_leaves_the_turn_to_the_next(after: float) -> None:
     turnstile = PageRateLimit(Pages(takes=0.1), "/")
     first: asyncio.Task[Any] = asyncio.create_task(ask(turnstile))
     second: asyncio.Task[Any] = asyncio.create_task(ask(turnstile))

@@ -165,7 +165,7 @@ def test_the_panels_of_the_dashboard_have_places_of_their_own() -> None:
 
 
 @pytest.mark.parametrize("accept", ["text/plain; version=0.0.4", "*/*", "", "a; version=x, ;;"])
-async def test_who_does_not_ask_for_openmetrics_gets_the_text_of_old(accept: str) -> None:
+async def test_a_client_that_does_not_ask_for_openmetrics_gets_the_text_of_old(accept: str) -> None:
     async with station(metrics_port=0) as one:
         kind, text = await page(one, Accept=accept)
     assert kind.startswith("text/plain")

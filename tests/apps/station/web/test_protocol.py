@@ -292,7 +292,9 @@ async def test_more_frames_than_a_client_may_send_end_its_connection(
         writer.close()
 
 
-async def test_who_pings_and_reads_nothing_grows_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_client_that_pings_and_reads_nothing_grows_nothing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     for name in ("EVENTS_RATE", "EVENTS_AT_ONCE", "BYTES_RATE", "BYTES_AT_ONCE"):
         monkeypatch.setattr(intake, name, 1e9)
     sizes: list[int] = []

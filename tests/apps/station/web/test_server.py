@@ -243,7 +243,7 @@ async def drain(client: ClientConnection) -> None:
         pass
 
 
-async def test_who_does_not_read_is_disconnected_and_costs_little_until_then() -> None:
+async def test_a_client_that_does_not_read_is_disconnected_and_costs_little_until_then() -> None:
     async with station() as one:
         topics = [name for name in one.bridge.graph.topics if name.startswith("/dji_sdk")]
         reader = socket.create_connection(("127.0.0.1", one.sockets.port("rosbridge")))
@@ -321,7 +321,9 @@ async def test_silent_sockets_make_room_and_the_pilot_keeps_his(
             pass
 
 
-async def test_who_keeps_the_loop_from_running_is_let_go(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_client_that_keeps_the_loop_from_running_is_let_go(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     async with station() as one, connect(address(one)) as calm:
         # It does not stay until the work that it caused is paid for: a quarter of an hour here.
         monkeypatch.setattr(one.bridge, "_limits", ClientLimits(work_rate=1e-3))

@@ -115,7 +115,7 @@ def test_one_that_alone_is_silent_may_hover_where_it_was() -> None:
     assert heard.near(on_track(5.0 + SILENT_S), 2.0) is None, "it flies on, and is past"
 
 
-def test_who_hears_nobody_counts_them_as_there_too() -> None:
+def test_an_aircraft_that_hears_nobody_counts_them_as_there_too() -> None:
     """Of two the other one was killed, or this one is cut off: nobody here knows."""
     alone = silent(["a2", "a3"], {"a2": 0.0, "a3": 0.0})
     near = alone.near(on_track(7.0), 2.0)

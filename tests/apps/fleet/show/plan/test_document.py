@@ -243,7 +243,7 @@ def test_what_two_need_is_their_tubes_and_what_clocks_are_wrong_by() -> None:
     )
 
 
-def test_who_is_above_whom_is_remarked() -> None:
+def test_an_aircraft_above_another_is_remarked() -> None:
     lower = track("a1", (0, 0, 0, 5), (20, 30, 0, 5))
     upper = track("a2", (0, 30, 0, 20), (20, 0, 0, 20))
     report = check(show_of(lower, upper))

@@ -216,7 +216,7 @@ def test_two_that_land_are_as_near_as_their_spots() -> None:
     assert found[1] == 10
 
 
-def test_who_is_far_enough_is_of_no_interest() -> None:
+def test_an_aircraft_that_is_far_enough_is_of_no_interest() -> None:
     first = track("a1", (0, 0, 0, 5), (10, 10, 0, 5))
     second = track("a2", (0, 0, 8, 5), (10, 10, 8, 5))
     third = track("a3", (0, 0, 30, 5), (10, 10, 30, 5))

@@ -71,7 +71,7 @@ class Flight:
     """A flight that the alarms see four times a second."""
 
     def __init__(self, **known: Any) -> None:
-        self.desk = AlarmManager()
+        self.manager = AlarmManager()
         self.now = replace(FINE, now=0.0)
         self.changes: list[ActiveAlarm] = []
         self.fly(1.0)
@@ -84,25 +84,25 @@ class Flight:
             self.now = replace(
                 self.now, now=at, telemetry_at=at if heard else self.now.telemetry_at
             )
-            self.changes += self.desk.advance(self.now)
+            self.changes += self.manager.advance(self.now)
 
     def change(self, seconds: float = 0.25, **known: Any) -> None:
         self.now = replace(self.now, **known)
         self.fly(seconds)
 
     def see(self, name: AlarmName) -> None:
-        self.changes += self.desk.acknowledge(name, self.now.now)
+        self.changes += self.manager.acknowledge(name, self.now.now)
 
     @property
     def sounds(self) -> AlarmLevel | None:
-        return self.desk.sounding
+        return self.manager.sounding
 
     @property
     def shown(self) -> dict[AlarmName, AlarmState]:
-        return {one.name: one.state for one in self.desk.shown}
+        return {one.name: one.state for one in self.manager.shown}
 
     def text(self, name: AlarmName) -> str:
-        return next(Translator()(one.text) for one in self.desk.shown if one.name is name)
+        return next(Translator()(one.text) for one in self.manager.shown if one.name is name)
 
 
 def lease_lost(number: int = 7) -> LeaseChanged:
@@ -276,8 +276,8 @@ def test_an_agent_that_is_not_heard_is_a_lost_line(hearing: Hearing) -> None:
 
 
 def test_a_line_that_is_opened_for_the_first_time_is_no_alarm() -> None:
-    desk = AlarmManager()
-    assert desk.advance(Situation(connection="connecting")) == []
+    manager = AlarmManager()
+    assert manager.advance(Situation(connection="connecting")) == []
 
 
 @pytest.mark.parametrize(
@@ -293,7 +293,7 @@ def test_a_landing_with_an_empty_battery_says_so() -> None:
     flight = Flight(phase=FlightPhase.LANDING, battery=8)
     flight.fly(1.0)
     assert "the battery is nearly empty" in flight.text(N.LANDS_ITSELF)
-    assert flight.desk.shown[0].name is N.LANDS_ITSELF
+    assert flight.manager.shown[0].name is N.LANDS_ITSELF
     assert flight.sounds is AlarmLevel.DANGER
 
 
@@ -332,7 +332,9 @@ def test_what_is_no_danger_there_is_no_alarm(known: dict[str, Any]) -> None:
         (LossReason.UNKNOWN, "Control is lost, and it is unknown who has it"),
     ],
 )
-def test_who_took_authority_is_said_as_far_as_it_is_known(reason: LossReason, text: str) -> None:
+def test_the_taker_of_authority_is_named_as_far_as_it_is_known(
+    reason: LossReason, text: str
+) -> None:
     flight = Flight(has_authority=False, loss=reason)
     assert flight.text(N.AUTHORITY_LOST) == text
 
@@ -348,7 +350,7 @@ def test_who_took_authority_is_said_as_far_as_it_is_known(reason: LossReason, te
         (LeaseChanged(0, "", LeaseChange.FRONT_LOST), "You have lost control"),
     ],
 )
-def test_who_took_the_lease_is_said(end: LeaseChanged, text: str) -> None:
+def test_the_taker_of_the_lease_is_named(end: LeaseChanged, text: str) -> None:
     assert Flight(lease_end=end, has_lease=False).text(N.LEASE_TAKEN) == text
 
 
@@ -398,14 +400,14 @@ def test_what_only_happens_is_over_when_it_was_seen_and_begins_again() -> None:
 
 
 def test_a_later_client_does_not_hear_what_happened_before() -> None:
-    desk = AlarmManager()
-    assert desk.advance(replace(FINE, aborted=3)) == []
-    assert desk.shown == ()
+    manager = AlarmManager()
+    assert manager.advance(replace(FINE, aborted=3)) == []
+    assert manager.shown == ()
 
 
 def test_what_is_so_when_somebody_comes_is_reported() -> None:
-    desk = AlarmManager()
-    assert [change.name for change in desk.advance(replace(FINE, battery=9))] == [
+    manager = AlarmManager()
+    assert [change.name for change in manager.advance(replace(FINE, battery=9))] == [
         N.BATTERY_CRITICAL,
         N.BATTERY_FLOOR,
         N.BATTERY_LOW,

@@ -77,9 +77,9 @@ READY = Situation(
 
 def looked(**known: Any) -> Checklist:
     """The list of an operator who looked around."""
-    desk = ChecklistModel()
-    desk.say_free(READY.now, is_free=True)
-    return desk.look(replace(READY, **known))
+    model = ChecklistModel()
+    model.say_free(READY.now, is_free=True)
+    return model.look(replace(READY, **known))
 
 
 def check(checklist: Checklist, item: ChecklistItem) -> Check:
@@ -148,10 +148,10 @@ def test_every_item_has_a_name_a_remedy_and_a_case() -> None:
 def test_a_reason_offers_take_off_unless_the_aircraft_would_refuse(
     item: ChecklistItem, known: dict[str, Any], state: ItemState, seen: str
 ) -> None:
-    desk = ChecklistModel()
-    desk.say_free(READY.now, is_free=True)
-    desk.say_why("a test of the floor")
-    checklist = desk.look(replace(READY, **known))
+    model = ChecklistModel()
+    model.say_free(READY.now, is_free=True)
+    model.say_why("a test of the floor")
+    checklist = model.look(replace(READY, **known))
     needs = {ChecklistItem.LINE, ChecklistItem.ACTIVATION, ChecklistItem.CONTROL}
     # In the air no reason holds: it was said for another take-off.
     assert checklist.may_take_off == (
@@ -164,45 +164,45 @@ def test_a_reason_offers_take_off_unless_the_aircraft_would_refuse(
     ("reason", "counts"), [("", False), ("  a ", False), ("hm", False), ("fog", True)]
 )
 def test_a_reason_is_more_than_a_key_that_was_hit(reason: str, counts: bool) -> None:
-    desk = ChecklistModel()
-    desk.say_why(reason)
-    assert desk.look(READY).may_take_off is counts
+    model = ChecklistModel()
+    model.say_why(reason)
+    assert model.look(READY).may_take_off is counts
 
 
 def test_a_reason_is_one_line_and_short() -> None:
-    desk = ChecklistModel()
-    desk.say_why("so\nit\tis " * 100)
-    reason = desk.look(READY).reason
+    model = ChecklistModel()
+    model.say_why("so\nit\tis " * 100)
+    reason = model.look(READY).reason
     assert reason.startswith("so it is so")
     assert len(reason) == 200
 
 
 def test_that_the_place_is_free_is_said_by_the_operator_and_holds_for_a_while() -> None:
-    desk = ChecklistModel()
-    assert check(desk.look(READY), ChecklistItem.FREE).state is W
-    desk.say_free(READY.now, is_free=True)
+    model = ChecklistModel()
+    assert check(model.look(READY), ChecklistItem.FREE).state is W
+    model.say_free(READY.now, is_free=True)
     later = replace(READY, now=READY.now + FREE_FOR_S, telemetry_at=READY.now + FREE_FOR_S)
-    assert desk.look(later).is_green
-    assert not desk.look(replace(later, now=later.now + 0.5)).is_free_said
-    desk.say_free(later.now, is_free=True)
-    desk.say_free(later.now, is_free=False)
-    assert not desk.look(later).is_free_said
+    assert model.look(later).is_green
+    assert not model.look(replace(later, now=later.now + 0.5)).is_free_said
+    model.say_free(later.now, is_free=True)
+    model.say_free(later.now, is_free=False)
+    assert not model.look(later).is_free_said
 
 
 def test_a_flight_ends_what_was_said() -> None:
-    desk = ChecklistModel()
-    desk.say_free(READY.now, is_free=True)
-    desk.say_why("a test")
-    desk.look(replace(READY, phase=FlightPhase.TAKING_OFF))
-    after = desk.look(READY)
+    model = ChecklistModel()
+    model.say_free(READY.now, is_free=True)
+    model.say_why("a test")
+    model.look(replace(READY, phase=FlightPhase.TAKING_OFF))
+    after = model.look(READY)
     assert (after.is_free_said, after.reason) == (False, "")
 
 
 def test_an_item_that_did_not_come_for_a_moment_ends_nothing() -> None:
-    desk = ChecklistModel()
-    desk.say_free(READY.now, is_free=True)
-    desk.look(replace(READY, phase=None))
-    assert desk.look(READY).may_take_off
+    model = ChecklistModel()
+    model.say_free(READY.now, is_free=True)
+    model.look(replace(READY, phase=None))
+    assert model.look(READY).may_take_off
 
 
 def test_enough_is_what_a_mission_needs() -> None:
@@ -217,15 +217,15 @@ KEPT = {"release", "mission_upload"}
 
 def look(inputs: Inputs, *, has_reason: bool) -> Checklist:
     """The list of an operator who has a reason for everything, or none."""
-    desk = ChecklistModel()
-    desk.say_why("a test" * has_reason)
+    model = ChecklistModel()
+    model.say_why("a test" * has_reason)
     ready = replace(
         situation_of(inputs),
         is_activated=True,
         telemetry_at=inputs.vehicle.now,
         phase=FlightPhase.STANDBY,
     )
-    return desk.look(ready)
+    return model.look(ready)
 
 
 def offered_of(inputs: Inputs) -> frozenset[str]:

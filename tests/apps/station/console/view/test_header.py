@@ -467,7 +467,7 @@ def test_of_one_aircraft_there_is_no_list() -> None:
         (ship(state=State(0.0, "lost"), is_ours=True), "lost", "not connected"),
     ],
 )
-def test_who_has_it_is_said_in_words_and_by_a_kind(one: Ship, kind: str, said: str) -> None:
+def test_the_holder_is_named_in_words_and_by_a_kind(one: Ship, kind: str, said: str) -> None:
     row, other = fleet_of([one, OTHER])
     assert (row.kind, Translator()(row.control)) == (kind, said)
     assert Translator(Language.GERMAN)(row.control)

@@ -94,7 +94,7 @@ def test_nonsense_from_the_page_changes_nothing(value: object) -> None:
     assert Pointed().at(95.0, 0.0) == Pointed()
 
 
-def test_who_cannot_point_gives_distance_and_bearing() -> None:
+def test_an_operator_who_cannot_point_gives_distance_and_bearing() -> None:
     pointed = Pointed().by_distance(HERE, 100.0, 90.0)
     assert pointed.place is not None
     north, east = LocalFrame(*HERE).to_local(*pointed.place)
