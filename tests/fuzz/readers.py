@@ -33,8 +33,8 @@ _REASONS: dict[str, tuple[str, ...]] = {
         "flight/guardian_process.py Watch._refresh",
         "flight/guardian_process.py Watch._word",
         "flight/guardian_process.py opened",
-        "apps/station/supervisor.py Child._ask",
-        "apps/station/supervisor.py Child._take_answer",
+        "apps/station/supervisor.py ChildProcess._ask",
+        "apps/station/supervisor.py ChildProcess._take_answer",
     ),
     "hands bytes on as they are, to readers that have targets": (
         "aircraft/replaying.py open_replay",
@@ -51,6 +51,7 @@ _REASONS: dict[str, tuple[str, ...]] = {
     "a file of the installation, or what the kernel tells": (
         "apps/station/console/view/texts.py translations",
         "apps/cli/manual.py _Page.text",
+        "apps/cli/manual.py _pages",
         "apps/cli/manual.py _unfenced",
         "apps/fleet/order_log.py since_boot",
         "log/pcapng.py dissector",
@@ -75,8 +76,7 @@ _REASONS: dict[str, tuple[str, ...]] = {
         "link/transport.py port_owners",
     ),
     "no seed reaches it yet: only tests of its own do": (
-        "log/channels.py Thinning.hear",
-        "apps/mavlink/translator/parameters.py Parameters._is_same",
+        "log/channels.py RateLimiter.hear",
         "protocol/packet.py TelemetryPacket._layouts",
         "apps/station/ros/messages.py _base64",
         "apps/station/ros/messages.py _read_bytes",
