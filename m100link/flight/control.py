@@ -464,7 +464,7 @@ class Control:
     ) -> None:
         """Land in place and stop the motors; 60 s. See :meth:`take_off` for the errors.
 
-        Refused while a mission flies, unless this block told it to stop and it did not: a landing
+        Refused while a mission flies, unless this block ordered it to stop in vain: a landing
         breaks it off as well.
         """
         await self._run(Task.LAND, timeout, progress)

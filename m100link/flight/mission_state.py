@@ -23,7 +23,7 @@ BELIEVED_S = 3.0
 # Seconds in which two pushes come. For so long a reported mission may fly, whatever the newest push
 # says: one alone may be wrong.
 DENIED_S = 0.25
-# Seconds after the end of a mission in which pushes may still tell of it: they were under way.
+# Seconds after the end of a mission in which pushes may still report it: they were under way.
 _ECHO_S = 1.0
 
 
@@ -55,7 +55,7 @@ class MissionState:
             1 circling, 2 paused); None for others.
         since: Since when pushes tell of this kind, with gaps of at most 3 s, on the event loop's
             clock; None when none of late did.
-        is_running: Whether it flies the aircraft now: told of within the last 3 s.
+        is_running: Whether it flies the aircraft now: reported within the last 3 s.
     """
 
     kind: MissionKind = MissionKind.UNKNOWN

@@ -61,7 +61,7 @@ _MOST_UNANSWERED = 4  # orders of a task that are asked for; the aircraft knows 
 _UNANSWERED = 3  # queries in a row, after which what telemetry shows must do
 
 TIMEOUTS_S = {Task.TAKE_OFF: 20.0, Task.LAND: 60.0, Task.GO_HOME: 300.0}
-"""Seconds to wait for the end of each task unless told otherwise."""
+"""Seconds to wait for the end of each task unless the caller says otherwise."""
 
 
 @dataclass(frozen=True, slots=True)

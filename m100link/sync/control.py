@@ -751,7 +751,7 @@ class Control:
     def land(self, *, timeout: float | None = None, progress: TaskListener | None = None) -> None:
         """Land in place and stop the motors; 60 s. See :meth:`take_off` for the errors.
 
-        Refused while a mission flies, unless this block told it to stop and it did not: a landing
+        Refused while a mission flies, unless this block ordered it to stop in vain: a landing
         breaks it off as well.
         """
         return self._portal.wait(

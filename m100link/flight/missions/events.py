@@ -73,7 +73,7 @@ class Reached:
 
     Attributes:
         index: Which, counted from 0.
-        is_inferred: No event of the aircraft told it, but it flies on to a later point. So it is
+        is_inferred: No event of the aircraft reported it, but it flies on to a later one. So it is
             when an event was lost, and at the points between with ``Trace.COORDINATED_TURNS``,
             which are passed by.
     """

@@ -135,7 +135,7 @@ class MissionGuard:
 
     @property
     def _was_stopped_in_vain(self) -> bool:
-        """Whether the mission that flies is one that this block told to stop, in vain."""
+        """Whether the mission that flies is one that this block ordered to stop, in vain."""
         if (ours := self._ours) is not None:
             return ours.state is RunState.UNSTOPPED
         since = self._flying_since
@@ -218,7 +218,7 @@ class MissionGuard:
 
     @property
     def is_of_another(self) -> bool:
-        """Whether a mission flies that this block neither started nor told to stop."""
+        """Whether a mission flies that this block neither started nor ordered to stop."""
         # A phone, a program that is gone or an earlier block started it, and leaving this block is
         # no order to break it off.
         run, since = self._run, self._flying_since
