@@ -80,7 +80,7 @@ def test_a_plan_is_flown_and_reported_as_json(later: Simulator, app: list[str], 
     assert steps[:2] == ["uploaded", "started"]
     assert steps.count("reached") == len(SPOTS)
     assert steps[-1] == "finished"
-    assert "On Linux, a guardian stops it when this program is killed" in outcome.err
+    assert "On Linux, a guardian stops it if this program is killed" in outcome.err
     assert process("mission", "stop", later.port, *app).out == "no mission flies\n"
 
 

@@ -46,7 +46,7 @@ def test_a_recorded_flight_is_not_shown_beside_an_aircraft_that_flies(
 @pytest.mark.anyio
 async def test_keys_are_orders_that_a_replay_knows(capsys: pytest.CaptureFixture[str]) -> None:
     class Replays:
-        def told(self) -> None:
+        def progress(self) -> None:
             return None
 
     class Agent:
