@@ -157,7 +157,7 @@ class MissionWatch:
         """A mission ended; ``is_echoing``: pushes that still tell of it may be under way."""
         self._reported.pop(kind, None)
         if self._kind is kind:
-            # Not when a push told the end: they come in order, and a later one contradicts.
+            # Not when a push reported the end: they come in order, and a later one contradicts.
             if is_echoing:
                 self._echo = kind, self._clock() + _ECHO_S
             self._kind, self._status = MissionKind.NONE, None

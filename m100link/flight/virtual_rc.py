@@ -437,7 +437,7 @@ class VirtualRc:
             self._end(StopCause.LINK_LOST, error.again())
         except M100Error as error:
             self._end(StopCause.SENDING_FAILED, error)
-        except Exception as error:  # noqa: BLE001 (told with its cause)
+        except Exception as error:  # noqa: BLE001 (reported with its cause)
             failure = M100Error(f"the sticks cannot be sent: {error!r}")
             failure.__cause__ = error
             self._end(StopCause.SENDING_FAILED, failure)

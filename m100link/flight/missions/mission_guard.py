@@ -291,7 +291,7 @@ class MissionGuard:
         run = self._run
         if run is None:
             return None
-        # The push that told its end may be wrong: the next two decide.
+        # The push that reported its end may be wrong: the next two decide.
         await run.ending.heard_out()
         if not (run.owes_a_stop or run.flies_all_the_same):
             return None

@@ -166,7 +166,7 @@ class MissionSession:
     ) -> None:
         self._context = context  # what it stands on
         self.kind = kind  # which kind of mission
-        # Whether it was told to fly on when the RC is lost.
+        # Whether it was ordered to fly on when the RC is lost.
         self.flies_without_rc = flies_without_rc
         self._orders = ORDERS[kind]
         self._track = track  # reads what the aircraft says of it

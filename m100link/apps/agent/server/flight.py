@@ -43,7 +43,7 @@ from m100link.protocol.setpoint import Setpoint
 
 MissionOrder = Literal["pause", "resume", "stop"]
 
-# Seconds that the neutral of a halt lives: it expires at once, and silence follows after 0.3 s.
+# Seconds that the neutral of a hover lives: it expires at once, and silence follows after 0.3 s.
 _AT_ONCE = 1e-3
 
 Pattern = Callable[[Control, Callable[[Setpoint], None]], Coroutine[Any, Any, None]]
