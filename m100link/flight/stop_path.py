@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Literal
 
-from m100link.errors import AuthorityLost, M100Error, TaskRefused
+from m100link.errors import AckTimeout, AuthorityLost, BadAck, M100Error, TaskRefused
 from m100link.flight.authority import AuthorityState
 from m100link.flight.guardian import NOTHING, Wanted
 from m100link.flight.guards import known
@@ -172,7 +172,7 @@ class StopPath:
             self._take_off_at = self._clock()  # any of them may have lifted it, up to now
 
     async def _land(self) -> None:
-        """Land; while another task is under way the aircraft rejects it, and it is asked again."""
+        """Land; asked again while it is refused (another task is under way) or unanswered."""
         if self._action != "land":
             return
         # A landing would break off a mission of somebody else: pushes that disagree are waited for.
@@ -192,12 +192,13 @@ class StopPath:
                 await run_task(
                     self._commander, Task.LAND, timeout=max(1.0, deadline - self._clock())
                 )
-            except TaskRefused as error:
+            except (TaskRefused, AckTimeout, BadAck) as error:
+                # Unanswered, it may be flown, and the release would break it off.
                 if self._clock() < deadline:
                     await asyncio.sleep(_LANDING_RETRY_S)
                     continue
                 _logger.error("the stop path could not land: %s", error)
-            except M100Error as error:
+            except M100Error as error:  # it began and failed: perhaps the pilot broke it off
                 _logger.error("the stop path could not land: %s", error)
             return
 

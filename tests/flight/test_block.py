@@ -312,7 +312,7 @@ async def test_a_dead_line_both_ways_bounds_the_stop_path() -> None:
                 flown.virtual.stall_line()
                 start = flown.now
                 await flown.fly_on(control)
-        assert flown.now - start < 10.0
+        assert flown.now - start < 70.0
 
 
 # -- landing at the end ---------------------------------------------------------------------------
@@ -659,7 +659,7 @@ async def test_a_landing_that_the_stop_path_cannot_begin_is_logged_and_bounded(
                 flown.virtual.set_faults(LineFaults(), to_aircraft=LineFaults(loss=1.0))
                 start = flown.now
                 raise ZeroDivisionError
-        assert flown.now - start < 10.0
+        assert flown.now - start < 70.0
         assert "the stop path could not land" in caplog.text
         assert "authority may not be released" in caplog.text
 

@@ -26,10 +26,10 @@ from m100link import (
 )
 from m100link.flight.guards import GuardKeeper
 from m100link.flight.stop_path import StopAction
-from m100link.protocol.codes import VersionCode
+from m100link.protocol.codes import TaskResultCode, VersionCode
 from m100link.protocol.commands.activation import GetVersion, Version
-from m100link.protocol.commands.control import RequestAuthority
-from m100link.sim import VirtualClockEventLoop
+from m100link.protocol.commands.control import QueryTask, RequestAuthority, StartTask, Task
+from m100link.sim import LineFaults, VirtualClockEventLoop
 from m100link.sim.vehicle.flight import Maneuver
 from tests.flight.foreign_aircraft import ONBOARD
 from tests.flight.missions.foreign import foreign, tell_standby_once
@@ -453,6 +453,43 @@ async def test_stop_land_says_so_when_it_cannot_tell_whether_to_land(
                 await flown.fly(control, 1.0)
         assert "stop='land' did not land: the flight status is unknown" in caplog.text
         assert flown.is_released
+
+
+# -- a landing that is not answered ---------------------------------------------------------------
+
+
+@pytest.mark.parametrize("to_aircraft", [1.0, 0.0])
+@pytest.mark.parametrize("lost_s", [1.0, 5.0, 30.0, 90.0])
+async def test_stop_land_lands_although_no_order_is_answered_for_a_while(
+    to_aircraft: float, lost_s: float
+) -> None:
+    """Orders or only answers are lost. The aircraft lands, unless it hears nothing for a minute."""
+    async with rig() as flown:
+        async with flown.aircraft.control(
+            stop="land", guards=Guards(stale_telemetry_s=None)
+        ) as control:
+            await control.take_off()
+            await flown.fly(control, 1.0)
+            loss = LineFaults(loss=1.0 - to_aircraft)
+            flown.virtual.set_faults(loss, to_aircraft=LineFaults(loss=to_aircraft))
+            asyncio.get_running_loop().call_later(lost_s, flown.virtual.set_faults)
+            start = flown.now
+        assert flown.now - start < 70.0, "bounded"
+        is_unheard = to_aircraft == 1.0 and lost_s > 60.0
+        assert (flown.virtual.height > 0.5) is is_unheard
+        assert flown.is_running is is_unheard
+
+
+async def test_a_landing_that_began_and_was_broken_off_is_not_ordered_again() -> None:
+    """The aircraft says so when the pilot's sticks end it."""
+    async with rig() as flown:
+        async with flown.aircraft.control(stop="land") as control:
+            await control.take_off()
+            handlers = flown.virtual.autopilot._commands._handlers
+            handlers[QueryTask] = lambda query: TaskResultCode.FAILED
+        orders = flown.virtual.autopilot.received_commands
+        tasks = [one.command.task for one in orders if isinstance(one.command, StartTask)]
+        assert tasks == [Task.TAKE_OFF, Task.LAND]
 
 
 # -- errors ---------------------------------------------------------------------------------------
