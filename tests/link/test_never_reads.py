@@ -15,6 +15,7 @@ import pytest
 
 import m100link
 from m100link import AckTimeout, LineBlocked, SilentLine
+from m100link.flight import stop_path
 from m100link.flight.block import BLOCKED_S
 from m100link.link import Link, open_link, transport
 from m100link.link.link import CLOSE_TIMEOUT
@@ -101,8 +102,11 @@ async def test_nothing_stalls_nothing_grows_and_each_call_says_why(url: str) -> 
 
 
 @pytest.mark.parametrize("kind", KINDS)
-async def test_what_flies_takes_the_stop_path_while_telemetry_arrives(kind: str) -> None:
+async def test_what_flies_takes_the_stop_path_while_telemetry_arrives(
+    kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The aircraft sends and does not read: only the way there is blocked."""
+    monkeypatch.setattr(stop_path, "_LANDING_DEADLINE_S", 1.0)  # a minute is waited otherwise
     driver = Driver(VirtualAircraft(seed=1))
     if kind == "pty":
         port = PtyPort(driver)
