@@ -72,11 +72,11 @@ class Ending(Enum):
     )
     FORK = "the child of a fork ends: `sys.exit()`, `os._exit()`, an exception, `return`, SIGTERM"
     HANG = "the event loop is blocked for 2 s: `time.sleep()`, a debugger"
-    STOPPED = "the process is stopped for 2 s (SIGSTOP), or the computer slept"
+    STOPPED = "the process is stopped for 2 s (SIGSTOP), or the computer sleeps as long"
     KILL = "`kill -9`, a signal that nobody handles (SIGUSR1, SIGALRM), the system is out of memory"
     CRASH = "a crash (SIGSEGV, SIGABRT), `os._exit()`, `os.execv()`"
     UNPLUGGED = "the cable is pulled, the computer loses power"
-    UNGUARDED = "what the four rows above say, with `control(guardian=False)`"
+    UNGUARDED = "a hang, a stop, a kill or a crash with `control(guardian=False)`"
 
 
 ENDINGS: dict[Ending, tuple[Outcome, Outcome, Outcome]] = {

@@ -59,7 +59,7 @@ class StopPlan(NamedTuple):
 
     # Stop the mission that the block started: while one flies, the aircraft ignores setpoints, and
     # it would fly on behind the block. Where somebody else took the aircraft, only one that
-    # demonstrably flies on.
+    # is reported still, or of which nothing is heard.
     mission: bool
     explain: bool  # wait for a moment, in silence, for the items that show where authority went
     # Replace a setpoint that is being sent by its neutral for 0.3 s; otherwise nothing more is

@@ -138,8 +138,8 @@ class StopPath:
     async def _stop_mission(self) -> None:
         life = self._life
         # A stop needs no authority, so it is sent without. But a failsafe on its way home must not
-        # be called off: where somebody else took the aircraft, only a mission that demonstrably
-        # flies on is stopped.
+        # be called off: where somebody else took the aircraft, only a mission is stopped that is
+        # reported still, or of which nothing is heard while the aircraft is not seen to land.
         if life.plan.mission and (
             not life.plan.explain or await self._missions.flies_on(life.failure)
         ):
