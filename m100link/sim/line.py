@@ -176,7 +176,6 @@ class LineFaults:
     inverted: bool = False
 
     def __post_init__(self) -> None:
-        """Check the ranges."""
         for one in fields(self):
             value, most = getattr(self, one.name), one.metadata.get("most")
             if value is None or (0.0 <= value < math.inf and (most is None or value <= most)):

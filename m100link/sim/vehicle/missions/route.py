@@ -102,7 +102,6 @@ class MissionSettings:
     follow_speed: float = 10.0
 
     def __post_init__(self) -> None:
-        """Check the rate."""
         if not 0.0 <= self.status_hz <= 100.0:
             raise ValueError(f"mission status is pushed at 0 to 100 Hz, not {self.status_hz}")
 
