@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import asyncio
 import importlib.resources
 import inspect
@@ -44,6 +45,13 @@ def test_readme_shows_one_sentence_and_two_commands_before_any_prose() -> None:
         line for line in before.splitlines() if line and not line.startswith(("```", "python3"))
     ]
     assert all(line.endswith(":") and len(line) < 60 for line in prose), prose
+
+
+@pytest.mark.parametrize("page", sorted((ROOT / "docs").rglob("*.md")), ids=lambda page: page.stem)
+def test_programs_of_the_manual_are_python(page: Path) -> None:
+    """Doctest runs the others; a program for hardware or a foreign package is run nowhere else."""
+    for program in code_blocks(page.read_text("utf-8"), "python"):
+        compile(program, str(page), "exec", ast.PyCF_ALLOW_TOP_LEVEL_AWAIT | ast.PyCF_ONLY_AST)
 
 
 def test_readme_program_prints_what_readme_says(capsys: pytest.CaptureFixture[str]) -> None:
