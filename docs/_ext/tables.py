@@ -26,7 +26,6 @@ import dataclasses
 import importlib
 import inspect
 import io
-import math
 import re
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
@@ -221,12 +220,16 @@ class ModeTable(TableDirective):
             )
 
 
+_HUGE = 1e30  # beyond it stands the largest number of the wire, which limits no flight
+
+
 def _ranged(way: Enum, limit: Any) -> str:
     name = way.name.lower().replace("_", " ")
-    if math.isinf(limit.low):
+    if limit.low < -_HUGE:
         return f"{name}, {limit.unit}"
     low, high = (f"{value:g}".replace("-", "−") for value in (limit.low, limit.high))
-    high = "the height limit" if math.isinf(limit.high) else high
+    if limit.high > _HUGE:
+        return f"{name}, {low} {limit.unit} and more"
     return f"{name}, {low} to {high} {limit.unit}"
 
 
