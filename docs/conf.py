@@ -83,5 +83,7 @@ doctest_default_flags = 0
 
 html_theme = "furo"
 html_title = f"m100link {release}"
+html_static_path = ["_static"]
+html_css_files = ["manual.css"]
 html_copy_source = False
 html_show_sphinx = False

@@ -411,8 +411,31 @@ class ContractList(SphinxDirective):
         return [items]
 
 
+_PHONE = 54  # characters side by side on a phone, with the margins of cells; a few may stand out
+_WORDS = 16  # characters from which a cell is words, not a value
+
+
+def mark_words(_app: Sphinx, document: nodes.document) -> None:
+    """Give the class `words` to cells that a phone would squeeze to their longest word.
+
+    Browsers do that to every cell that can be broken, in a table that is too wide anyhow.
+    """
+    for group in document.findall(nodes.tgroup):
+        rows = [[*row.findall(nodes.entry)] for row in group.findall(nodes.row)]
+        longest = (max(map(_longest_word, column)) + 2 for column in zip(*rows, strict=False))
+        if sum(longest) > _PHONE:
+            for entry in group.findall(nodes.entry):
+                if len(entry.astext()) >= _WORDS:
+                    entry["classes"].append("words")
+
+
+def _longest_word(entry: nodes.entry) -> int:
+    return max(map(len, re.split(r"[\s-]", entry.astext())))
+
+
 def setup(app: Sphinx) -> dict[str, Any]:
     """Called by Sphinx."""
+    app.connect("doctree-read", mark_words)
     app.add_directive("profile-table", ProfileTable)
     app.add_directive("item-table", ItemTable)
     app.add_directive("item-fields", ItemFields)
