@@ -27,7 +27,7 @@ from docutils import nodes
 from sphinx.application import Sphinx
 from sphinx.util import logging
 from sphinx.util.docutils import SphinxDirective
-from svg import Drawing, picture
+from svg import STYLE, Drawing, picture
 from tables import import_contracts
 
 from m100link.flight import authority, lifecycle
@@ -76,7 +76,7 @@ def _edges(transitions: Transitions) -> Iterator[tuple[Enum, Enum, str]]:
 
 def dot_of(transitions: Transitions) -> str:
     """A table of states as a graph in the language of `dot`."""
-    lines = ["digraph {", "bgcolor=transparent; nodesep=0.45; ranksep=0.55"]
+    lines = ["digraph {", "bgcolor=transparent; nodesep=0.12; ranksep=0.5"]
     lines.append('node [shape=box, style="rounded,filled", fillcolor=lightgrey]')
     lines.append('node [fontname="sans-serif", fontsize=11]')
     lines.append('edge [fontname="sans-serif", fontsize=9, arrowsize=0.7]')
@@ -95,8 +95,7 @@ def _in_page_colours(svg: str) -> str:
     svg = svg.replace("lightgrey", "var(--color-background-secondary)")
     svg = re.sub(r'(fill|stroke)="black"', r'\1="currentColor"', svg)
     svg = svg.replace("<text ", '<text fill="currentColor" ')
-    style = "max-width:100%;height:auto;color:var(--color-foreground-primary)"
-    return svg.replace("<svg ", f'<svg style="{style}" ', 1)
+    return svg.replace("<svg ", f'<svg style="{STYLE}" ', 1)
 
 
 class StatePicture(PictureDirective):
@@ -401,8 +400,15 @@ class WiringPicture(PictureDirective):
         return drawing.svg(), said
 
 
+def link_to_full_size(_app: Sphinx, document: nodes.document) -> None:
+    """Sphinx links an image that has a width to its file, where a phone can enlarge it."""
+    for image in document.findall(nodes.image):
+        image.setdefault("width", "100%")
+
+
 def setup(app: Sphinx) -> dict[str, Any]:
     """Register the directives."""
+    app.connect("doctree-read", link_to_full_size)
     for name, directive in {
         "axes-picture": AxesPicture,
         "exchange-picture": ExchangePicture,

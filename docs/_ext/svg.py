@@ -6,9 +6,10 @@ from html import escape
 
 from docutils import nodes
 
-__all__ = ["Drawing", "picture"]
+__all__ = ["STYLE", "Drawing", "picture"]
 
-_STYLE = "max-width:100%;height:auto;color:var(--color-foreground-primary)"
+# As wide as drawn, so that its words can be read: a narrow page scrolls it sideways.
+STYLE = "height:auto;color:var(--color-foreground-primary)"
 _SOFT = "var(--color-background-secondary)"
 _STRONG = "var(--color-brand-primary)"
 _FONT = "font-family:var(--font-stack,sans-serif)"
@@ -97,5 +98,5 @@ class Drawing:
         )
         return (
             f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:g} {height:g}" '
-            f'width="{width:g}" style="{_STYLE}">{head}{"".join(self._parts)}</svg>'
+            f'width="{width:g}" style="{STYLE}">{head}{"".join(self._parts)}</svg>'
         )
