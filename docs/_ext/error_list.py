@@ -42,7 +42,7 @@ class ErrorList(SphinxDirective):
                 ("What to do", kind.usual_remedy),
             ):
                 words = self.parse_inline(text.replace("`", "``"))[0]
-                definition += nodes.paragraph("", f"{title}: ", nodes.Text(f"{title}: "), *words)
+                definition += nodes.paragraph("", f"{title}: ", *words)
             entries += nodes.definition_list_item("", target, definition)
         return [entries]
 
