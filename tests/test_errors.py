@@ -190,6 +190,8 @@ def test_the_page_has_every_class_with_its_anchor(
     for kind in CLASSES:
         assert f'id="{kind.error_code.lower()}"' in page
         assert f"> {kind.__name__}, a kind of" in page
+    for label in ("Usual cause: ", "What to do: "):
+        assert page.count(label) == len(CLASSES), "each entry says it once"
 
 
 def test_a_class_of_a_program_takes_what_it_annotates_whatever_its_module_imports() -> None:
