@@ -94,9 +94,9 @@ class Number(NamedTuple):
         low, high = self.bounds
         if self.format not in _INTEGERS and math.isinf(self.high):
             return "a finite number"
-        text = f"{low:g}" if low == high else f"{low:.6g} to {high:.6g}"
-        text = " or ".join((*(f"{value:g}" for value in self.besides), text))
-        return f"{text} {self.unit}".rstrip()
+        digits = ".0f" if self.format in _INTEGERS else ".6g"  # 4294967295, not 4.29497e+09
+        text = f"{low:g}" if low == high else f"{low:{digits}} to {high:{digits}}"
+        return " or ".join((*map("{:g}".format, self.besides), f"{text} {self.unit}")).rstrip()
 
     def shown(self, record: object) -> Iterator[tuple[str, Any]]:
         """The value for people, under a name that says its unit."""

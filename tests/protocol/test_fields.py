@@ -121,6 +121,7 @@ def test_what_is_outside_is_named_and_not_written(
     ("part", "limit"),
     [
         (Number("speed", "f", 0.0, 15.0, "m/s"), "0 to 15 m/s"),
+        (Number("frequency", "I"), "0 to 4294967295"),
         (Number("mode", words=("off", "on")), "0 off, 1 on"),
         (Numbers("actions", 16, Number("action", "B", 0, 5)), "each 0 to 5"),
         (Nibbles("count", "repeat"), "low and high four bits, each 0 to 15"),
