@@ -74,7 +74,8 @@ async def test_a_line_that_never_drains_ends_the_block_in_bounded_time(stop: Sto
                     pass
                 ended_at = flown.now
                 await flown.fly_on(control)
-        assert flown.now - ended_at < 6.0
+        # A landing without an answer is ordered again for a minute: the aircraft may hear one.
+        assert flown.now - ended_at < (66.0 if stop == "land" else 6.0)
         age = flown.aircraft.state.newest_age
         assert age is not None
         assert age < 0.1, "telemetry went on"
