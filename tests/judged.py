@@ -32,7 +32,7 @@ class Machine(threading.Thread):
     """Watches for how long this process, or one that it has begun, is kept from running.
 
     Attributes:
-        stood_s: The longest time: of this thread in one go, of others within half a second.
+        stood_s: The longest time: of this thread in one go, of each within half a second.
     """
 
     def __init__(self) -> None:
@@ -49,7 +49,7 @@ class Machine(threading.Thread):
         self.join()
 
     def run(self) -> None:
-        waited: dict[int, float] = {}
+        waited: dict[tuple[int, int], float] = {}
         looked_at = 0.0
         while True:
             asleep_at = time.monotonic()
@@ -59,9 +59,24 @@ class Machine(threading.Thread):
             self.stood_s = max(self.stood_s, now - asleep_at - 0.02)
             if now - looked_at >= LOOK_S:
                 before, looked_at = waited, now
-                waited = {process: kept_waiting(process) for process in descendants(os.getpid())}
+                waited = kept_waiting_by_thread()
                 gone_by = (waited[one] - before[one] for one in waited.keys() & before.keys())
                 self.stood_s = max(self.stood_s, *gone_by, 0.0)
+
+
+def kept_waiting_by_thread() -> dict[tuple[int, int], float]:
+    """What each thread waited for a processor: of this process, and of those that it has begun.
+
+    A thread that gets a tenth of a processor stands nowhere, and flies nothing in time either.
+    """
+    try:
+        return {
+            (process, int(thread.name)): kept_waiting(process, int(thread.name))
+            for process in (os.getpid(), *descendants(os.getpid()))
+            for thread in Path(f"/proc/{process}/task").glob("*")
+        }
+    except OSError:  # a test takes all descriptors
+        return {}
 
 
 def descendants(process: int) -> Iterator[int]:

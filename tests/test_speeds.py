@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import subprocess
 import sys
+import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -171,6 +174,27 @@ def test_a_machine_that_runs_freely_did_not_stand() -> None:
     with Machine() as machine:
         pass
     assert machine.stood_s < judged.STOOD_S
+
+
+def test_a_thread_that_gets_too_little_of_a_processor_stands(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(judged, "kept_waiting", lambda *_: 0.9 * time.monotonic())
+    with Machine() as machine:
+        time.sleep(3 * judged.LOOK_S)
+    assert machine.stood_s > judged.STOOD_S
+
+
+def test_a_watch_of_the_machine_outlives_a_lack_of_descriptors(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def none_left(_: int) -> Iterator[int]:
+        raise OSError(errno.EMFILE, "Too many open files")
+
+    monkeypatch.setattr(judged, "descendants", none_left)
+    with Machine() as machine:
+        time.sleep(judged.LOOK_S / 5)
+        assert machine.is_alive()
 
 
 def test_the_list_has_functions_with_their_seconds() -> None:
