@@ -11,7 +11,7 @@ from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.lease import Lease
 from m100link.apps.agent.messages import MissionReport
-from m100link.apps.agent.orders import ChangeHeight, GuidedOrder
+from m100link.apps.agent.orders import ChangeHeight, GuidedOrder, Order
 from m100link.apps.agent.preview import preview_plan
 from m100link.apps.mavlink.translator.codec import Peer
 from m100link.apps.mavlink.translator.flight_mode_manager import FlightModeManager
@@ -73,6 +73,8 @@ class OrderExecutor:
         self._flights = flights
         # The order under way; a new one ends it.
         self._work: asyncio.Task[None] | None = None
+        # When it was wanted at the earliest, s: a STOP since then overtakes each of its steps.
+        self._asked_at = self._looked_at = agent.now
         # From before a mission's start leaves until its end is reported, or its stop is heard.
         self._owes_a_stop = False
         # Orders to a mission go out in the order in which they were wanted.
@@ -105,6 +107,7 @@ class OrderExecutor:
         if self._owes_a_stop and self._agent.is_connected and not self._session.is_obeyed:
             self._owes_a_stop = False  # the agent ends the mission of a client that lost control
         self._session.heard()
+        self._looked_at = self._agent.now
 
     def _steer(self, setpoint: Setpoint) -> None:
         if not self._owes_a_stop:  # a mission ignores setpoints: none before its stop is heard
@@ -130,7 +133,13 @@ class OrderExecutor:
     def _replace(self, order: VehicleOrder) -> None:
         if self._work is not None:
             self._work.cancel()
+        self._asked_at = self._looked_at
         self._work = self._agent.background.spawn(self._carry_out(order), type(order).__name__)
+
+    async def _ask(
+        self, order: Order, lease: Lease | None, accepted: Callable[[], None] | None = None
+    ) -> None:
+        await self._agent.ask(order, lease, accepted, self._asked_at)
 
     async def _carry_out(self, order: VehicleOrder) -> None:
         error: M100Error | None = NoAuthority("it was broken off")
@@ -196,33 +205,36 @@ class OrderExecutor:
             LinkError, NoAuthority: See each class.
         """
         if is_interrupting:
-            await self._agent.stop()
+            try:
+                await self._agent.stop()
+            finally:
+                self._asked_at = self._agent.now  # but not one of its own
             # A stop keeps it where no task is known.
-            await self._agent.ask(orders.Release(), lease)
-            await self._agent.ask(orders.Obtain(), lease)
+            await self._ask(orders.Release(), lease)
+            await self._ask(orders.Obtain(), lease)
         elif self._owes_a_stop or self._world.flies_mission:
-            await self._agent.ask(orders.StopMission(), lease)
+            await self._ask(orders.StopMission(), lease)
         self._owes_a_stop = False
 
     async def _take_off(self, order: TakeOffAndClimb, lease: Lease | None) -> None:
-        await self._agent.ask(orders.TakeOff(), lease)
+        await self._ask(orders.TakeOff(), lease)
         self._manager.took_off(order, self._agent.now)
         height = self._world.height
         if order.height is None or (height is not None and abs(height - order.height) < _CLOSE_M):
             return
-        await self._agent.ask(ChangeHeight(order.height), lease)
+        await self._ask(ChangeHeight(order.height), lease)
 
     async def _land(self, order: LandInPlace, lease: Lease | None) -> None:
         with suppress(AckTimeout, MissionRefused):
             # The agent reports it; and a landing breaks off what a stop did not end.
             await self._make_way(lease, order.is_interrupting)
-        self._session.begin_anew("landing")
-        await self._agent.ask(orders.Land(), lease)
+        self._session.begin_anew("landing", self._asked_at)
+        await self._ask(orders.Land(), lease)
 
     async def _go_home(self, order: ReturnToLaunch, lease: Lease | None) -> None:
         await self._make_way(lease, order.is_interrupting)
-        self._session.begin_anew("going home")
-        await self._agent.ask(orders.GoHome(), lease)
+        self._session.begin_anew("going home", self._asked_at)
+        await self._ask(orders.GoHome(), lease)
 
     async def _hold(self, order: HoldPosition, lease: Lease | None) -> None:
         await self._make_way(lease, order.is_interrupting)
@@ -231,11 +243,11 @@ class OrderExecutor:
     async def _fly(self, order: FlightSequence, lease: Lease | None) -> None:
         await self._make_way(lease)
         if order.takes_off:
-            await self._agent.ask(orders.TakeOff(), lease)
+            await self._ask(orders.TakeOff(), lease)
             self._manager.took_off(order, self._agent.now)
         for number, leg in enumerate(order.legs[: order.by_agent]):
             self._flights.leg(order, number, False)
-            await self._agent.ask(leg, lease)
+            await self._ask(leg, lease)
             if number < len(order.waits):
                 await asyncio.sleep(order.waits[number])
             self._flights.leg(order, number, True)
@@ -246,13 +258,12 @@ class OrderExecutor:
         self, order: FlightSequence, plan: WaypointPlan, lease: Lease | None
     ) -> None:
         """Let the aircraft fly it by itself; done when that is over."""
-        agent = self._agent
         upload = orders.UploadPlan.of(plan)
-        await agent.ask(upload, lease)
+        await self._ask(upload, lease)
         self._owes_a_stop = True
         try:
             start = orders.StartMission(upload.digest, until_over=True)
-            await agent.ask(start, lease, lambda: self._flights.begun(order))
+            await self._ask(start, lease, lambda: self._flights.begun(order))
         except M100Error:
             self._owes_a_stop = False  # the agent has stopped it, or reported what came of that
             raise

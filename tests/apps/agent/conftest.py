@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
+from itertools import count
 from typing import Any
 
 import anyio
@@ -15,6 +17,7 @@ from m100link.apps.agent.connect import by_driver
 from m100link.apps.agent.server.agent import Agent
 from m100link.apps.agent.server.authority import HoldingState
 from m100link.apps.agent.server.connection import ConnectionState
+from m100link.apps.agent.transports import MemoryChannel
 from m100link.missions.plan import WaypointPlan
 from m100link.sim.clock import virtual_clock_loop
 from m100link.sim.ports.driver import Driver
@@ -83,3 +86,19 @@ def guided(rig: Rig) -> object:
 async def rig() -> AsyncIterator[Rig]:
     async with Rig().running() as one:
         yield one
+
+
+def hears_late(its: MemoryChannel, seconds: float) -> None:
+    """Make a front slow: whatever the agent sends by its end of the way arrives that much later."""
+    arrives, sent = its.send, count()
+
+    def send(message: Any) -> None:
+        late = seconds + 1e-7 * next(sent)  # none overtakes another
+        asyncio.get_running_loop().call_later(late, arrives, message)
+
+    its.send = send  # type: ignore[method-assign]  # for this test
+
+
+def has_begun(agent: Agent, what: str) -> bool:
+    """Whether its journal says that this began."""
+    return any(event.text == f"{what} begins" for event in agent.journal.events)

@@ -15,6 +15,7 @@ from m100link.apps.mavlink.translator.vehicle_state import Mode
 from m100link.sim.line import LineFaults
 from m100link.sim.vehicle.missions.route import MissionSettings
 from m100link.sim.vehicle.settings import AircraftSettings
+from tests.apps.agent.conftest import has_begun, hears_late
 from tests.apps.mavlink.conftest import Ground, Rig
 from tests.apps.mavlink.translator.test_missions import SQUARE, Exchange, Item, item, waypoint
 
@@ -502,3 +503,45 @@ async def test_older_firmware_has_its_missions_flown_from_here(firmware: str) ->
         await rig.until(lambda: rig.speed > 3.0)
         told = rig.ground.texts.replace("\n", "")
         assert f"flown from here, firmware {firmware} has no missions" in told
+
+
+# -- STOP between two steps of one order -----------------------------------------------------------
+
+
+@pytest.mark.parametrize(("late", "after"), [(0.0, 0.005), (0.0, 0.03), (0.05, 0.1), (0.2, 0.25)])
+async def test_a_stop_before_the_way_home_has_begun_ends_it(late: float, after: float) -> None:
+    """The stop of the mission is under way; the bridge hears of the STOP, or not yet."""
+    async with Rig(firmware="3.1", late=late).running() as rig:
+        await begin(rig, rig.ground, FAR)
+        rig.ground.set_mode_now(Mode.RTL)
+        await anyio.sleep(after)
+        await rig.agent.stop()
+        await assert_hovers(rig)
+
+
+async def test_a_stop_after_the_take_off_ends_the_climb_that_follows(rig: Rig) -> None:
+    hears_late(rig.channels[1], 0.3)
+    await rig.ground.arm()
+    altitude = rig.ground_altitude + 20.0
+    rig.ground.command(MavCommand.NAV_TAKEOFF, 0, 0, 0, math.nan, math.nan, math.nan, altitude)
+    await rig.until(lambda: rig.agent.holding.task is not None)
+    await rig.until(lambda: rig.agent.holding.task is None)
+    await anyio.sleep(0.15)
+    await rig.agent.stop()
+    assert rig.agent.holding.has_authority
+    await anyio.sleep(6.0)
+    assert rig.height < 2.0
+    assert not has_begun(rig.agent, "change of height")
+
+
+async def test_what_was_to_begin_at_arming_is_forgotten_at_a_stop(rig: Rig) -> None:
+    ground = rig.ground
+    assert await Exchange(ground).upload(FAR) == 0
+    ground.set_mode_now(Mode.MISSION)
+    await rig.until(lambda: ground.mode is Mode.MISSION)
+    await rig.agent.stop()
+    await anyio.sleep(0.5)
+    if not ground.armed():
+        await ground.arm()
+    await anyio.sleep(6.0)
+    assert not rig.motors_on

@@ -412,6 +412,7 @@ class FlightModeManager:
 
         A landing or a way home goes on; STOP ends them by giving control back.
         """
+        self._remembered = None  # nor at the next arming
         if self.running not in (FlightSource.NOTHING, FlightSource.LAND, FlightSource.GO_HOME):
             self.hold(f"{self._mode.value}: {why}")
 
