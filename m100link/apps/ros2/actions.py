@@ -14,6 +14,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from enum import IntEnum
+from functools import partial
 from typing import Any
 
 from m100link.apps.agent import orders
@@ -257,6 +258,8 @@ class FlightGoal(ABC):
 
     def __init__(self, agent: AgentClient, control: RosControl) -> None:
         self._agent, self._lease = agent, control.session.held()
+        # A STOP since the goal came overtakes each of its orders.
+        self._ask = partial(agent.ask, lease=self._lease, asked_at=agent.now)
         self._ended = asyncio.Event()
 
     @abstractmethod
@@ -285,7 +288,7 @@ class FlightGoal(ABC):
     async def guide(self, order: GuidedOrder) -> None:
         """Fly one order, unless it was ended."""
         if not self._ended.is_set():
-            await self._agent.ask(order, self._lease)
+            await self._ask(order)
 
     async def wait(self, seconds: float) -> None:
         """Hover for a while, unless it was ended."""
@@ -308,7 +311,7 @@ class _TakeOff(FlightGoal):
             raise UsageError("a height below the take-off point")
 
     async def run(self) -> None:
-        await self._agent.ask(orders.TakeOff(), self._lease)
+        await self._ask(orders.TakeOff())
         if self._height and abs(self._now() - self._height) >= _CLOSE_M:
             await self.guide(ChangeHeight(self._height))
 

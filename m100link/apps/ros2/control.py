@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Awaitable, Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
@@ -19,7 +19,6 @@ from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.control_session import ControlSession, ControlState, Terms
 from m100link.apps.agent.latency import MAX_LATE, ClockEstimate
-from m100link.apps.agent.lease import Lease
 from m100link.errors import BadSetpoint, M100Error, MissionRunning, UsageError
 from m100link.protocol.setpoint import Setpoint
 
@@ -206,6 +205,9 @@ IDLE_S = 60.0  # seconds on the ground without an order after which control is g
 TERMS = Terms(gives_way=True, idle_s=IDLE_S, who="ROS", remedy="call ~/obtain_control first")
 
 
+Ask = Callable[..., Awaitable[object]]
+
+
 class RosControl:
     """Control of the aircraft by ROS programs, and what is asked under it."""
 
@@ -242,26 +244,28 @@ class RosControl:
             self.require_free("take-off")
         else:
             self._agent.hover(f"{task.label} was requested")
-        await self._agent.background.begin(partial(self._flown, lease, task), task.label)
+        # A STOP from now on overtakes each step.
+        ask = partial(self._agent.ask, lease=lease, asked_at=self._agent.now)
+        await self._agent.background.begin(partial(self._flown, ask, task), task.label)
 
-    async def _begin(self, lease: Lease, task: orders.Order, begun: asyncio.Event) -> None:
+    async def _begin(self, ask: Ask, task: orders.Order, begun: asyncio.Event) -> None:
         """Fly a task. A mission of the aircraft's own has to be over before a landing."""
         try:
-            await self._agent.ask(task, lease, begun.set)
+            await ask(task, accepted=begun.set)
         except MissionRunning:
             if isinstance(task, orders.TakeOff):
                 raise
         else:
             return
         try:
-            await self._agent.ask(orders.StopMission(), lease)
+            await ask(orders.StopMission())
         except M100Error as error:  # it may be over by now, and landing matters more
             self._agent.note(f"the mission before {task.label}: {error.seen}")
-        await self._agent.ask(task, lease, begun.set)
+        await ask(task, accepted=begun.set)
 
-    async def _flown(self, lease: Lease, task: orders.Order, begun: asyncio.Event) -> None:
+    async def _flown(self, ask: Ask, task: orders.Order, begun: asyncio.Event) -> None:
         try:
-            await self._begin(lease, task, begun)
+            await self._begin(ask, task, begun)
         except M100Error as error:
             if not begun.is_set():
                 raise

@@ -13,6 +13,7 @@ from m100link.apps.ros2.actions import FLIGHTS, GoalStatus
 from m100link.apps.ros2.graph import EntityKind, NodeName, Qos, data_key
 from m100link.geodesy import LocalFrame
 from m100link.log.cdr import ACTIONS, decode
+from tests.apps.agent.conftest import has_begun, hears_late
 from tests.apps.ros2.conftest import Program, Rig
 
 pytestmark = pytest.mark.anyio
@@ -282,3 +283,19 @@ async def test_a_goal_that_nobody_knows(rig: Rig, client: Client) -> None:
     status, why = await client.result("~/fly_to", bytes([4] * 16))
     assert status is GoalStatus.UNKNOWN
     assert "no such goal" in why
+
+
+@pytest.mark.parametrize("late", [0.05, 0.3])
+async def test_a_stop_that_the_node_did_not_hear_ends_the_legs_to_come(
+    rig: Rig, client: Client, late: float
+) -> None:
+    hears_late(rig.channels[1], late)
+    assert (await client.call("~/obtain_control"))["success"]
+    assert await client.send("~/take_off", height=20.0)
+    await rig.until(lambda: rig.agent.holding.task is not None)
+    await rig.until(lambda: rig.agent.holding.task is None)
+    await anyio.sleep(late / 2)
+    await rig.agent.stop()
+    await anyio.sleep(6.0)
+    assert rig.height < 2.0
+    assert not has_begun(rig.agent, "change of height")
