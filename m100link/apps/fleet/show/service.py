@@ -166,7 +166,7 @@ class ShowService:
                 performer.load(bytes(self._pieces), asked.leave, known, asked.run)
             case TakePlace():
                 self._placed_by = order.signer
-                performer.place(order.signer or order.by)
+                performer.place(order.signer or order.by, order.clock)
             case StartShow():
                 performer.start(asked.digest, asked.at, asked.bound)
             case LeaveShow():

@@ -11,13 +11,13 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable
+from functools import partial
 from typing import Literal
 
 from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.control_session import ControlSession
 from m100link.apps.agent.latency import DRIFT
-from m100link.apps.agent.lease import Lease
 from m100link.apps.agent.messages import Event, EventTopic
 from m100link.apps.agent.orders import ChangeHeight, FlyTo
 from m100link.apps.fleet.expiry import OrderExpiry
@@ -182,13 +182,16 @@ class TrackExecutor:
         self.stage = ShowStage.LOADED
         return track.digest
 
-    def place(self, who: str) -> None:
-        """Begin to take off and to fly to the first point."""
+    def place(self, who: str, asked_at: float) -> None:
+        """Begin to take off and to fly to the first point.
+
+        ``asked_at``: when that was wanted, s: a STOP since then overtakes each step of it.
+        """
         self._require(TakePlace, "place")
         TrackSteering(self._loaded(), self._fastest).require_fast_enough()
         self.heard()
         self.stage = ShowStage.PLACING
-        self._do(lambda: self._place(who))
+        self._do(lambda: self._place(who, asked_at))
 
     def start(self, digest: str, start_at: float, bound: float) -> None:
         """Begin the track at a time.
@@ -267,7 +270,7 @@ class TrackExecutor:
             self._work.cancel()
         self._work = self._client.background.spawn(guarded(), "show")
 
-    async def _place(self, who: str) -> None:
+    async def _place(self, who: str, asked_at: float) -> None:
         client, track = self._client, self._loaded()
         TrackSteering(track, 1.0).require_below(self._here(track))
         self._control.name = f"show of {who}"
@@ -275,22 +278,22 @@ class TrackExecutor:
         try:
             # It keeps the lease until the order to begin.
             async with self._control.kept():
-                await self._control.obtain()
-                await self._take_place(client.check(self._control.lease), track)
+                await self._control.obtain(asked_at=asked_at)
+                lease = client.check(self._control.lease)
+                await self._take_place(partial(client.ask, lease=lease, asked_at=asked_at), track)
                 self.stage = ShowStage.READY
                 await asyncio.Event().wait()
         finally:
             attending.cancel()
 
-    async def _take_place(self, lease: Lease, track: TimedTrack) -> None:
-        client = self._client
-        if not client.view.is_airborne:
-            await client.ask(orders.TakeOff(), lease)
+    async def _take_place(self, ask: Callable[..., Awaitable[object]], track: TimedTrack) -> None:
+        if not self._client.view.is_airborne:
+            await ask(orders.TakeOff())
         first = track.points[0]
         height = first.height - track.ground_m
-        await client.ask(ChangeHeight(height), lease)
+        await ask(ChangeHeight(height))
         place = LocalFrame(*track.origin).to_geodetic(first.north, first.east)
-        await client.ask(FlyTo(*place, height, yaw_deg=track.heading_deg), lease)
+        await ask(FlyTo(*place, height, yaw_deg=track.heading_deg))
 
     async def _attend(self) -> None:
         while True:

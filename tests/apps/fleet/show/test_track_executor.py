@@ -28,6 +28,7 @@ from m100link.sim.vehicle.settings import AircraftSettings
 from m100link.sim.virtual import VirtualAircraft
 from m100link.telemetry.state import AircraftState
 from tests import known
+from tests.apps.agent.conftest import has_begun, hears_late
 from tests.apps.fleet.conftest import OnBoard, Rig, anyio_backend, rig
 from tests.apps.fleet.show.shows import ORIGIN, track
 
@@ -54,7 +55,7 @@ class Stand:
         performer.load(FLOWN.to_bytes(), leave)
         if stage in (LOADED,):
             return performer
-        performer.place("anna")
+        performer.place("anna", asked_at=0.0)
         if stage is PLACING:
             await anyio.sleep(1.0)
             return performer
@@ -95,7 +96,7 @@ def order(performer: TrackExecutor, what: type[ShowOrder], now: float) -> None:
     if what is LoadTrack:
         performer.load(FLOWN.to_bytes(), "hover")
     elif what is TakePlace:
-        performer.place("anna")
+        performer.place("anna", asked_at=0.0)
     elif what is StartShow:
         performer.start(FLOWN.digest, now + 2.0, 0.0)
     else:
@@ -197,7 +198,7 @@ async def test_stop_by_anybody_ends_what_has_not_taken_off_yet(stand: Stand) -> 
     await (await stand.rig.pilot("anybody"))["a1"].stop()
     assert performer.stage is LEFT
     with pytest.raises(UsageError, match="left and cannot place") as caught:
-        performer.place("anna")
+        performer.place("anna", asked_at=0.0)
     assert "a1 was stopped" in caught.value.cause
     await anyio.sleep(10.0)
     assert stand.one.height == 0.0
@@ -319,7 +320,7 @@ async def test_a_track_of_another_or_of_none(stand: Stand) -> None:
 async def test_an_aircraft_that_stands_elsewhere_never_takes_off(stand: Stand) -> None:
     performer = stand.performer
     performer.load(track("a1", (0, 5, 0, 4), (8, 12, 0, 5)).to_bytes(), "land")
-    performer.place("anna")
+    performer.place("anna", asked_at=0.0)
     await stand.rig.until(lambda: performer.stage is LEFT)
     assert isinstance(performer.fault, ShowRefused)
     assert not stand.one.aircraft.vehicle.flight.dynamics.motors_on
@@ -330,7 +331,7 @@ async def test_it_flies_at_the_heights_of_the_show_where_its_ground_is_lower(sta
     flown = track("a1", (0, 0, 0, 4), (8, 6, 0, 4), ground_m=-3, heading_deg=90)
     performer = stand.performer
     performer.load(flown.to_bytes(), "hover")
-    performer.place("anna")
+    performer.place("anna", asked_at=0.0)
     await stand.rig.until(stand.is_ready)
     performer.start(flown.digest, stand.one.client.now + 2.0, 0.0)
     await stand.rig.until(lambda: performer.stage is OVER)
@@ -344,7 +345,7 @@ async def test_somebody_who_has_control_keeps_it(stand: Stand) -> None:
     pilot = await stand.rig.pilot("bert")
     async with pilot["a1"].control():
         performer = await stand.to(LOADED)
-        performer.place("anna")
+        performer.place("anna", asked_at=0.0)
         await stand.rig.until(lambda: performer.stage is LEFT)
         assert isinstance(performer.fault, M100Error)
         assert "has control" in performer.fault.seen
@@ -356,7 +357,7 @@ async def test_whenever_it_leaves_nobody_has_control_then(stand: Stand) -> None:
     draw = Random(seed)
     for attempt in range(30):
         performer.load(FLOWN.to_bytes(), "hover")
-        performer.place("anna")
+        performer.place("anna", asked_at=0.0)
         for _ in range(draw.randrange(1, 40)):
             await asyncio.sleep(draw.choice([0.0, 0.0, 0.02]))
         performer.leave()
@@ -387,3 +388,21 @@ async def test_what_is_no_number_is_neither_flown_by_nor_sent_to_the_others() ->
     ahead = performer.ahead()
     assert ahead is not None
     assert all(math.isfinite(number) for place in ahead.places for number in place)
+
+
+@pytest.mark.parametrize("after", [0.1, 0.4])
+async def test_a_stop_that_is_not_heard_yet_ends_the_steps_to_its_place(
+    stand: Stand, after: float
+) -> None:
+    performer, agent = stand.performer, stand.one.agent
+    performer.load(FLOWN.to_bytes(), "hover")
+    hears_late(stand.one.channels[1], 0.5)
+    performer.place("anna", stand.one.client.now)
+    await stand.rig.until(lambda: agent.holding.task is not None)
+    await stand.rig.until(lambda: agent.holding.task is None)
+    await anyio.sleep(after)
+    await agent.stop()
+    await anyio.sleep(6.0)
+    assert stand.one.height < 2.0
+    assert not has_begun(agent, "change of height")
+    assert performer.stage is LEFT
