@@ -133,21 +133,21 @@ class OrderService:
             case _:
                 self._underway += 1
                 try:
-                    return await self._do(asked, self.lease_for(order, asked))
+                    return await self._do(asked, self.lease_for(order, asked), order.clock or None)
                 finally:
                     self._underway -= 1
         return Done()
 
-    async def _do(self, asked: orders.Order, lease: Lease | None) -> Done:
+    async def _do(self, asked: orders.Order, lease: Lease | None, asked_at: float | None) -> Done:
+        # By when it was asked for: a STOP since then may not have been heard here.
         if isinstance(asked, orders.Activate) and self._client.state.is_activated:
             return Done()
         if isinstance(asked, orders.StartMission) and lease is not None:
-            await self.missions.start(lease, asked)
+            await self.missions.start(lease, asked, asked_at)
             return Done()
-        asked_at = None
         if isinstance(asked, orders.Obtain) and lease is not None:
             granted = self.leases[lease.number]
-            asked_at, granted.asked_at = granted.asked_at, None
+            asked_at, granted.asked_at = granted.asked_at or asked_at, None
         outcome = await self._client.ask(asked, lease, asked_at=asked_at)
         if isinstance(asked, orders.PauseMission | orders.ResumeMission):
             self.missions.paused(is_paused=isinstance(asked, orders.PauseMission))
@@ -224,26 +224,31 @@ class OrderService:
         try:
             async with control.kept():
                 lease = await control.take(take_over=take_over)
-                await self._end_task()
+                asked_at = await self._end_task()
                 self._client.check(lease)  # somebody may have it who wants no landing
                 await control.obtain()
-                await self._fly_down(lease, task)
+                await self._fly_down(lease, task, asked_at)
         finally:
             control.close()
 
-    async def _end_task(self) -> None:
-        """End the task that the aircraft flies; a landing is left to its end."""
-        client = self._client
+    async def _end_task(self) -> float:
+        """End the task that the aircraft flies; a landing is left to its end.
+
+        Returns since when a STOP is somebody else's, s: it overtakes the way home.
+        """
+        client, asked_at = self._client, self._client.now
         while client.state.task == Flown.LAND.value:  # noqa: ASYNC110 - no event says it
             await asyncio.sleep(_LOOK_S)
         if client.state.task:
             await client.stop()  # nothing else ends a task
+            return client.now
+        return asked_at
 
-    async def _fly_down(self, lease: Lease, task: orders.Order) -> None:
+    async def _fly_down(self, lease: Lease, task: orders.Order, asked_at: float) -> None:
         until = self._client.now + _REFUSED_S
         while not self._client.view.is_on_ground:
             try:
-                await self._client.ask(task, lease)
+                await self._client.ask(task, lease, asked_at=asked_at)
             except (TaskRefused, MissionRunning):
                 # A task that was broken off takes its time to end, in the air or on the ground.
                 if self._client.now > until:

@@ -42,7 +42,10 @@ from m100link.apps.fleet.payloads import (
 from m100link.apps.fleet.show.service import ShowService
 from m100link.errors import NotAllowed, UsageError
 from m100link.geodesy import LocalFrame
+from m100link.missions.plan import Waypoint, WaypointPlan
 from m100link.protocol.setpoint import Setpoint
+from m100link.sim.virtual import VirtualAircraft
+from tests.apps.agent.conftest import hears_late
 from tests.apps.fleet.conftest import SITE, OnBoard, Rig, with_camera
 from tests.apps.fleet.logs.conftest import AtOnce
 from tests.apps.fleet.test_payloads import BOTH, OLD_ORDERS
@@ -560,3 +563,30 @@ async def test_what_is_asked_under_the_key_of_something_else_is_not_done(rig: Ri
             assert reply.outcome is Outcome.REFUSED
             assert reply.fault is not None
             assert reply.fault.seen == f"{type(asked).__name__} does not belong under this key"
+
+
+@pytest.mark.parametrize("what", ["place", "mission"])
+async def test_an_order_from_before_a_stop_that_is_not_heard_yet_moves_nothing(
+    rig: Rig, what: str
+) -> None:
+    """The agent on board reads the network before the way to the agent of the aircraft."""
+    one = await rig.aircraft("a1", virtual=VirtualAircraft(seed=5, firmware="3.1"))
+    got = await in_the_air(rig, one)
+    asked: orders.Order = await far_away(rig)
+    if what == "mission":
+        assert isinstance(asked, FlyTo)
+        there = Waypoint(asked.latitude_deg, asked.longitude_deg, 5.0)
+        north = Waypoint(asked.latitude_deg + 1e-4, asked.longitude_deg, 5.0)
+        plan = orders.UploadPlan.of(WaypointPlan((there, north)))
+        reply = await send(rig, order(plan, got.number, got.token))
+        asked = orders.StartMission(reply.text)
+    late = order(asked, got.number, got.token)
+    hears_late(one.channels[1], 1.0)
+    await anyio.sleep(0.05)
+    await one.agent.stop()
+    reply = await send(rig, late)
+    assert reply.fault is not None
+    assert "STOP was pressed after" in reply.fault.seen
+    for _ in range(40):
+        await anyio.sleep(0.1)
+        assert one.speed < 0.3

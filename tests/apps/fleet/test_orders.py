@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from dataclasses import replace
 from random import Random
+from typing import Any
 
 import anyio
 import pytest
@@ -15,7 +16,8 @@ from m100link.apps.agent.messages import MessageError, State
 from m100link.apps.fleet.client import Fleet, FleetAircraft
 from m100link.apps.fleet.order_log import MemoryOrderLog
 from m100link.apps.fleet.payloads import Outcome
-from m100link.errors import M100Error, StaleLease, UsageError
+from m100link.errors import GuardRefused, M100Error, StaleLease, TaskRefused, UsageError
+from tests.apps.agent.conftest import hears_late
 from tests.apps.fleet.conftest import OnBoard, Rig
 
 pytestmark = pytest.mark.anyio
@@ -165,3 +167,34 @@ async def test_an_order_about_the_lease_that_a_fleet_does_not_know_reaches_no_ag
         order = pilot.asker("a1").around(orders.AskVersion(), *control.proof)
         with pytest.raises(MessageError, match="a fleet has no order borrow lease"):
             await one.fleet_agent._orders.carry_out(order, asked)
+
+
+@pytest.mark.parametrize("late", [0.0, 0.3])
+async def test_a_stop_ends_the_way_home_that_is_asked_for_again_and_again(
+    rig: Rig, late: float
+) -> None:
+    """Nobody has control; the aircraft refuses it for a while, as after a task that was ended."""
+    one, pilot = await rig.aircraft("a1"), await rig.pilot()
+    async with pilot["a1"].control() as control:
+        await control.take_off()
+    asked, refused = one.client.ask, False
+
+    async def ask(order: orders.Order, *given: Any, **more: Any) -> Any:
+        nonlocal refused
+        if isinstance(order, orders.GoHome) and not refused:
+            refused = True
+            raise TaskRefused("a task ends")
+        return await asked(order, *given, **more)
+
+    one.client.ask = ask  # type: ignore[method-assign]  # for this test
+    hears_late(one.channels[1], late)
+    before = one.height
+    descent = one.client.background.spawn(
+        one.fleet_agent._orders.descend(orders.GoHome(), "operator lost"), "way home"
+    )
+    await rig.until(lambda: refused)
+    await one.agent.stop()
+    with pytest.raises(GuardRefused, match="STOP was pressed after"):
+        await descent
+    await anyio.sleep(4.0)
+    assert one.height == pytest.approx(before, abs=0.5)

@@ -73,8 +73,10 @@ class MissionManager:
         self._begun_at = self._ended_at = self._fault = None
         self._is_paused = self._is_finished = False
 
-    async def start(self, lease: Lease, order: StartMission) -> None:
+    async def start(self, lease: Lease, order: StartMission, asked_at: float | None) -> None:
         """Let the plan fly; done when it has begun, or when it is over.
+
+        ``asked_at``: as in :meth:`m100link.apps.agent.client.AgentClient.ask`.
 
         Raises:
             UsageError: It is another plan, there is none, or one is being uploaded.
@@ -97,19 +99,21 @@ class MissionManager:
             self.stage = after(self.stage, MissionInput.ASKED)
             self._clear()
             whole = replace(order, until_over=True)
-            work = partial(self._fly, lease, whole)
+            work = partial(self._fly, lease, whole, asked_at)
             flying = await self._client.background.begin(work, "mission of a fleet")
         if order.until_over:
             await asyncio.shield(flying)
 
-    async def _fly(self, lease: Lease, order: StartMission, begun: asyncio.Event) -> None:
+    async def _fly(
+        self, lease: Lease, order: StartMission, asked_at: float | None, begun: asyncio.Event
+    ) -> None:
         def accepted() -> None:
             self.stage = after(self.stage, MissionInput.BEGUN)
             self._begun_at = self._client.now
             begun.set()
 
         try:
-            await self._client.ask(order, lease, accepted)
+            await self._client.ask(order, lease, accepted, asked_at)
             self._is_finished = True
         except M100Error as error:
             self._fault = fault_of(error)
