@@ -476,9 +476,7 @@ class Control:
         await self._run(Task.GO_HOME, timeout, progress)
 
     async def _run(self, task: Task, timeout: float | None, progress: TaskListener | None) -> None:
-        # Asked again: a take-off may have waited 1.5 s for its guards, and the block have ended.
-        self._block.require_flying(what := task_name(task))
-        self._make_way(what, is_landing=task is not Task.TAKE_OFF)
+        self._make_way(what := task_name(task), is_landing=task is not Task.TAKE_OFF)
         before, self._unended_task = self._unended_task, task
         self._steering.running_task = task
         # From the order on it counts as flown: stop="land" and the guardian land what may climb.
@@ -498,6 +496,8 @@ class Control:
 
     def _make_way(self, what: str, *, is_landing: bool = False) -> None:
         """Setpoints end, for what the autopilot does by itself; one thing at a time."""
+        # Asked again: it may have waited 1.5 s for its guards, and the block have ended.
+        self._block.require_flying(what)
         self._mission_guard.require_none(what, is_landing=is_landing)
         if (running := self._steering.running_task) is not None:
             raise TaskRefused(

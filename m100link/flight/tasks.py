@@ -426,8 +426,8 @@ class Motors:
             CommandNotSupported: The firmware is older; nothing was sent.
             AckTimeout: Nobody knows whether they run.
         """
-        self._make_way("arm")
         await self._guards.admit_take_off()
+        self._make_way("arm")
         self._on_armed(True)  # whatever becomes of the ack
         await switch_motors(self._commander, on=True)
 

@@ -232,3 +232,23 @@ async def test_armed_motors_stop_by_themselves() -> None:
             await control.arm()
             await asyncio.sleep(5.5)
             assert not flown.is_running
+
+
+async def test_motors_that_waited_for_the_guards_do_not_start_behind_the_block(
+    flown: Rig,
+) -> None:
+    asked: list[asyncio.Task[None]] = []
+
+    async def program() -> None:
+        async with flown.aircraft.control() as control:
+            flown.virtual.set_rates(position=0)
+            await asyncio.sleep(2.0)
+            asked.append(asyncio.create_task(control.arm()))
+            await asyncio.sleep(0.5)
+
+    await program()
+    flown.virtual.set_rates(position=50)
+    with pytest.raises(NoAuthority, match="over with this block"):
+        await asked[0]
+    assert arms(flown) == []
+    assert not flown.is_running
