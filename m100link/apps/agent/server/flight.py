@@ -36,6 +36,7 @@ from m100link.flight.foresight import (
 from m100link.flight.guards import Guards
 from m100link.flight.guidance import GuidanceProgress
 from m100link.flight.missions.mission_guard import MissionFlight
+from m100link.flight.tasks import is_on_ground
 from m100link.missions.plan import WaypointPlan
 from m100link.protocol.commands.control import Task
 from m100link.protocol.commands.hotpoint import HotpointStart
@@ -65,6 +66,7 @@ class ActiveFlight:
         self._last: Setpoint | None = None
         self._running_task: asyncio.Task[None] | None = None
         self._pattern: tuple[str, asyncio.Task[None]] | None = None
+        self._has_armed = False  # the motors, or is about to
         self._is_ended = False
 
     @property
@@ -82,9 +84,11 @@ class ActiveFlight:
 
     @property
     def is_in_task(self) -> bool:
-        """Whether the autopilot may fly a task: of an order, of a program, or of a mission."""
+        """Whether the autopilot may fly a task, or motors idle: the end of the block ends both."""
         # A program or a mission that was ended does not end the take-off that it had begun.
-        return self.task is not None or self._control.unended_task is not None
+        if self.task is not None or self._control.unended_task is not None:
+            return True
+        return self._has_armed and is_on_ground(self._control.state) is True
 
     @property
     def flown(self) -> Flown:
@@ -198,7 +202,9 @@ class ActiveFlight:
         name = "arm" if on else "disarm"
         self._end_program(f"{name} was asked for")
         self._last = None
+        self._has_armed = self._has_armed or on
         await (self._control.arm() if on else self._control.disarm())
+        self._has_armed = on
         self._journal.note("the motors were started" if on else "the motors were stopped")
 
     # -- programs --------------------------------------------------------------------------------

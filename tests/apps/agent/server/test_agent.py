@@ -35,6 +35,7 @@ from tests.rig import put_in_the_air
 pytestmark = pytest.mark.anyio
 
 NORTH = Setpoint.velocity(north=1.0, east=0.0, up=0.0, yaw_rate_deg_s=0.0)
+UP = Setpoint.velocity(north=0.0, east=0.0, up=1.0, yaw_rate_deg_s=0.0)
 
 
 HOTPOINT = HotpointStart(0.9, 0.07, altitude=20.0, radius=10.0, angular_rate=5.0)
@@ -123,6 +124,28 @@ async def test_a_stop_during_a_task_gives_authority_back(rig: Rig) -> None:
         await anyio.sleep(2.0)
         await rig.agent.stop()
     assert not rig.holding.has_authority
+
+
+@pytest.mark.parametrize("after", [0.0, 0.001, 0.1, 3.0])
+async def test_a_stop_ends_motors_that_idle_on_the_ground(after: float) -> None:
+    """As they start, too; in the air nothing stops them."""
+    async with Rig(firmware="3.1").running() as rig:
+        await rig.agent.ask(orders.Obtain(), rig.token)
+        async with anyio.create_task_group() as group:
+            group.start_soon(rig.agent.ask, orders.SwitchMotors(on=True), rig.token)
+            await anyio.sleep(after)
+            await rig.agent.stop()
+        await anyio.sleep(1.0)
+        assert not rig.aircraft.vehicle.flight.dynamics.motors_on
+        await rig.agent.ask(orders.Obtain(), rig.token)
+        await rig.agent.ask(orders.SwitchMotors(on=True), rig.token)
+        for _ in range(40):
+            rig.agent.steer(rig.token, UP)
+            await anyio.sleep(0.05)
+        await rig.agent.stop()
+        await anyio.sleep(2.0)
+        assert rig.aircraft.height > 0.5
+        assert rig.holding.has_authority
 
 
 async def test_after_stop_a_stream_of_setpoints_is_refused_until_it_begins_anew(rig: Rig) -> None:
