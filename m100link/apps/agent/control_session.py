@@ -536,8 +536,10 @@ class ControlSession:
 
     async def stop(self) -> None:
         """Stop all that flies, without a lease, too; :meth:`begin_anew` lets setpoints fly."""
-        self.feed(_I.STOP)
-        await self._agent.stop()
+        try:
+            self.feed(_I.STOP)
+        finally:  # whatever a front makes of it
+            await self._agent.stop()
 
     def begin_anew(self, why: str = "", at: float = math.inf) -> bool:
         """The operator let go of everything: motion stops, and a STOP is over. Needs the lease.
@@ -547,9 +549,9 @@ class ControlSession:
         """
         is_anew = at >= self.stopped_at
         if (lease := self.lease) is not None:
+            self._agent.hover(why, lease if is_anew else None)
             if is_anew:
                 self.feed(_I.BEGUN_ANEW)
-            self._agent.hover(why, lease if is_anew else None)
         return is_anew
 
     # -- what others do --------------------------------------------------------------------------

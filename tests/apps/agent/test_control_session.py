@@ -245,6 +245,28 @@ async def test_stop_while_control_is_obtained_stands(pilots: Pilots, turns: int)
     assert len(refused) == 1
 
 
+@pytest.mark.parametrize("how", ["stop", "begin_anew"])
+async def test_a_front_that_fails_to_show_it_has_stopped_it(pilots: Pilots, how: str) -> None:
+    one, rig, client = session(pilots), pilots.rig, pilots.clients[0]
+
+    def fails(_: ControlState) -> None:
+        raise RuntimeError("no picture can be drawn")
+
+    await one.obtain()
+    async with one.kept():
+        await client.ask(orders.TakeOff(), one.lease)
+        if how == "begin_anew":
+            await pilots.clients[1].stop()
+        await client.ask(orders.FlyPattern(1), one.lease)
+        await rig.until(lambda: rig.aircraft.vehicle.flight.dynamics.speed > 0.3)
+        one.on_change = fails
+        with pytest.raises(RuntimeError):
+            one.begin_anew() if how == "begin_anew" else await one.stop()
+        assert rig.agent.holding.pattern is None
+        await anyio.sleep(1.5)
+        assert rig.aircraft.vehicle.flight.dynamics.speed < 0.1
+
+
 @pytest.mark.parametrize("state", [S.ASKING, S.LEASED])
 async def test_control_that_was_asked_for_before_a_stop_is_not_obtained(
     pilots: Pilots, state: ControlState
