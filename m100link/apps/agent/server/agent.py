@@ -311,7 +311,7 @@ class Agent:
                 remedy="ask for control again; at a page, let go of the keys",
             )
         flying = self.holding.flying
-        if self.connection.aircraft is None or flying is None or not flying.has_authority:
+        if self.connection.aircraft is None or flying is None or not self.holding.has_authority:
             self.connection.require_aircraft()  # which says why, if the line is lost
             flying = self.holding.require()
         flying.steer(setpoint, lifetime)

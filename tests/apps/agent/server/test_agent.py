@@ -231,6 +231,16 @@ async def test_a_stop_is_not_undone_by_control_that_was_asked_for_before_it(rig:
     rig.agent.steer(rig.token, NORTH)
 
 
+async def test_no_setpoint_flies_while_authority_goes_back(rig: Rig) -> None:
+    await airborne(rig)
+    async with anyio.create_task_group() as group:
+        group.start_soon(rig.agent.ask, orders.Release(), rig.token)
+        await anyio.lowlevel.checkpoint()
+        assert rig.holding.state is HoldingState.RELEASING
+        with pytest.raises(NoAuthority):
+            rig.agent.steer(rig.token, NORTH)
+
+
 async def test_a_client_that_takes_over_after_a_stop_begins_anew(rig: Rig) -> None:
     await airborne(rig)
     await rig.agent.stop()
