@@ -453,17 +453,18 @@ class VirtualRc:
         self._require_wanted(now)
         if not self._watchdog.is_quiet() or not self.is_flying:
             return
+        why = ""
         if now >= self._renewed_at + DEAD_MAN_S - 1e-6 and self._sticks != CENTRED:
-            self._sticks = CENTRED
-            _logger.warning("the sticks were not renewed in time: centred")
+            self._sticks, why = CENTRED, "they were not renewed in time"
         if self._sticks not in (CENTRED, GESTURE):
             try:
                 self._guards.check_sticks(*self._sticks)
             except GuardRefused as error:
-                self._refused, self._sticks = error, CENTRED
-                _logger.warning("the sticks are centred: %s", error.seen)
+                self._refused, self._sticks, why = error, CENTRED, error.seen
         if self._requests.push(self._sticks.encoded()):
             self._sent_at = now
+        if why:  # centred first: a log can take its time
+            _logger.warning("the sticks are centred: %s", why)
 
     def _require_wanted(self, now: float) -> None:
         """Raise what ends it besides the program; looked at before each frame."""

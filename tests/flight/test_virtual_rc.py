@@ -28,6 +28,7 @@ from m100link import (
     TelemetryStalled,
     UsageError,
 )
+from m100link.flight import virtual_rc
 from m100link.flight.virtual_rc import VirtualRc
 from m100link.protocol.codes import VersionCode
 from m100link.protocol.commands.activation import Version
@@ -136,6 +137,31 @@ async def test_sticks_that_are_not_renewed_go_back_within_half_a_second(flown: R
         await asyncio.sleep(0.2)
         assert sticks(flown)[-1][1] != NEUTRAL
     assert_ended_well(flown)
+
+
+@pytest.mark.parametrize("why", ["renewed", "guard"])
+async def test_sticks_are_centred_before_a_log_that_takes_its_time_hears_of_it(
+    flown: Rig, monkeypatch: pytest.MonkeyPatch, why: str
+) -> None:
+    arrived: list[tuple[int, ...]] = []
+    warned: list[tuple[int, ...]] = []
+    async with flown.aircraft.virtual_rc() as rc:
+        push = rc._requests.push
+
+        def pushed(command: VirtualRcData) -> bool:
+            arrived.append(command.channels[:4])
+            return push(command)
+
+        monkeypatch.setattr(rc._requests, "push", pushed)
+        monkeypatch.setattr(virtual_rc._logger, "warning", lambda *_: warned.append(arrived[-1]))
+        rc.set(pitch=0.5)
+        await asyncio.sleep(0.2)
+        if why == "guard":
+            flown.virtual.vehicle.flight.battery_percent = 5.0
+        await asyncio.sleep(1.0)
+        monkeypatch.undo()
+    assert warned == [NEUTRAL]
+    assert arrived[0] != NEUTRAL
 
 
 async def test_a_program_that_never_renews_does_not_keep_the_pilot_out(flown: Rig) -> None:
