@@ -25,6 +25,7 @@ from m100link.apps.agent.messages import (
     Ask,
     AuthorityTaken,
     Event,
+    EventTopic,
     Hello,
     JournalNote,
     LeaseChanged,
@@ -270,6 +271,8 @@ class AgentClient:
         self._samples: Hub[Sample] = Hub()
         self._from_mobile: Hub[bytes] = Hub()
         self._answers = PendingRequests(self._channel.send)
+        # When the newest STOP was heard of, s: over a network a later step is given a new time.
+        self._stopped_at = -math.inf
         # Time of the last event of the agent before, whose events another way tells again.
         self._known_until = -math.inf
         self._handlers: dict[type[Any], Callable[[Any], None]] = {
@@ -416,6 +419,8 @@ class AgentClient:
             # Another agent counts anew, and pages tell events apart by their numbers.
             event = replace(event, number=self.events[-1].number + 1)
         self.events.append(event)
+        if event.topic is EventTopic.STOPPED:
+            self._stopped_at = self._clock()
         call_each(self.on_event, event)
 
     def _on_lease_changed(self, message: LeaseChanged) -> None:
@@ -459,8 +464,9 @@ class AgentClient:
             M100Error: The agent's error; see :meth:`m100link.apps.agent.server.agent.Agent.ask`.
             LinkError: It has gone.
         """
-        fence = lease.number if lease is not None else 0
-        return await self._answers.question(order, fence, accepted, asked_at or self._clock())
+        fence, asked_at = lease.number if lease is not None else 0, asked_at or self._clock()
+        orders.require_newer(order, asked_at, self._stopped_at)
+        return await self._answers.question(order, fence, accepted, asked_at)
 
     # -- telemetry -------------------------------------------------------------------------------
 

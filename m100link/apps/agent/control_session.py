@@ -270,12 +270,12 @@ class ControlSession:
     # -- control is taken ------------------------------------------------------------------------
 
     @asynccontextmanager
-    async def _request(self, at: float | None = None) -> AsyncIterator[tuple[float, float]]:
+    async def _request(self, at: float | None = None) -> AsyncIterator[float]:
         """One request at a time; a request that waits for another ends by :meth:`let_go`, too.
 
-        Yields when it was made, and when the newest STOP before it was.
+        Yields when it was made: a STOP since then overtakes each of its steps.
         """
-        began, made_at = self._let_gos, (at or self._agent.now, self.stopped_at)
+        began, made_at = self._let_gos, at or self._agent.now
         async with self._changing:
             if began != self._let_gos or not self._heard:
                 raise self._not_wanted()
@@ -291,7 +291,7 @@ class ControlSession:
             NoAuthority: It was let go before it came.
             LinkError: The agent has gone.
         """
-        async with self._request() as (asked_at, _):
+        async with self._request() as asked_at:
             held = None if grant is not None else self.lease
             return held or await self._take(grant or partial(self._granted, take_over), asked_at)
 
@@ -351,22 +351,15 @@ class ControlSession:
             M100Error: As :meth:`m100link.apps.agent.client.AgentClient.ask`.
         """
         async with self._request(asked_at) as made_at:
-            grant = partial(self._granted, take_over)
-            lease = self.lease or await self._take(grant, made_at[0])
-            await self._obtain(lease, *made_at)
+            lease = self.lease or await self._take(partial(self._granted, take_over), made_at)
+            await self._obtain(lease, made_at)
 
-    async def _obtain(self, lease: Lease, asked_at: float, stopped_at: float) -> None:
+    async def _obtain(self, lease: Lease, asked_at: float) -> None:
         try:
             if self._terms.activates and not self._agent.state.is_activated:
                 self.feed(_I.ACTIVATE)
                 await self._agent.ask(orders.Activate(), lease, asked_at=asked_at)
                 self._require(lease)
-            # A STOP between two steps of one request must not be undone by its last step.
-            if stopped_at != self.stopped_at:
-                raise NoAuthority(
-                    "STOP was pressed while control was asked for; nothing was sent",
-                    remedy="take control again",
-                )
             self.feed(_I.OBTAIN)
             await self._agent.ask(orders.Obtain(), lease, asked_at=asked_at)
             self._require(lease)
@@ -400,8 +393,8 @@ class ControlSession:
             M100Error: As :meth:`obtain`.
         """
         async with self._request() as made_at:
-            lease = await self._take(partial(self._agent.confirm, wanted.token), made_at[0])
-            await self._obtain(lease, *made_at)
+            lease = await self._take(partial(self._agent.confirm, wanted.token), made_at)
+            await self._obtain(lease, made_at)
 
     def adopt(self, lease: Lease) -> None:
         """Hold a lease that was granted to this operator."""

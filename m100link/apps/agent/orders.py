@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from enum import Enum, IntEnum
 from typing import Any, ClassVar, Self, dataclass_transform
 
-from m100link.errors import UsageError
+from m100link.errors import GuardRefused, UsageError
 from m100link.missions.plan import WaypointPlan
 from m100link.protocol.commands.gimbal import GimbalAngle, GimbalSpeed
 from m100link.protocol.commands.hotpoint import HotpointStart
@@ -353,6 +353,25 @@ class ChangeHeading(Order, label="change of heading"):
 
 GuidedOrder = FlyTo | FlyAround | ChangeHeight | ChangeHeading
 """Any of them."""
+
+
+def require_newer(order: Order, asked_at: float, stopped_at: float) -> None:
+    """Refuse what a STOP overtook: it moves nothing, and undoes no STOP.
+
+    ``asked_at``, ``stopped_at``: when the order, or the first step of it, was asked for, and the
+    newest STOP, s.
+
+    Raises:
+        GuardRefused: It did.
+    """
+    # What ends a flight under a lease moves nothing.
+    if asked_at < stopped_at and order.moves and not isinstance(order, Release | StopMission):
+        raise GuardRefused(
+            f"STOP was pressed after {order.label} was asked for; nothing was sent",
+            guard="stopped",
+            cause="it is a later step of an order, or a computer on the way stood still",
+            remedy="look at the aircraft, and ask anew",
+        )
 
 
 @dataclass(frozen=True, slots=True)

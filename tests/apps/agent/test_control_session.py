@@ -49,7 +49,7 @@ from m100link.errors import (
     StaleLease,
 )
 from m100link.protocol.setpoint import Setpoint
-from tests.apps.agent.conftest import Rig
+from tests.apps.agent.conftest import Rig, hears_late
 from tests.known import KnownAgent
 from tests.rig import put_in_the_air
 
@@ -272,9 +272,14 @@ async def test_control_that_was_asked_for_before_a_stop_is_not_obtained(
     pilots: Pilots, state: ControlState
 ) -> None:
     one, agent = session(pilots), pilots.rig.agent
-    stop = partial(agent.journal.note, "stop", topic=EventTopic.STOPPED)
-    one.on_change = lambda now: stop() if now is state else None
-    with pytest.raises(NoAuthority, match="STOP was pressed while control was asked for"):
+    hears_late(pilots.ways[0], 0.01)
+
+    def changed(now: ControlState) -> None:
+        if now is state:
+            agent.background.spawn(agent.stop(), "stop")
+
+    one.on_change = changed
+    with pytest.raises(GuardRefused, match="STOP was pressed after"):
         await one.obtain()
     await anyio.sleep(0.5)
     assert at(one) is S.ABSENT

@@ -18,7 +18,7 @@ from m100link.apps.agent.orders import FlyTo
 from m100link.apps.fleet.client import Fleet
 from m100link.apps.fleet.keys import Keys
 from m100link.apps.fleet.payloads import pack
-from m100link.errors import LinkError, M100Error, StaleLease
+from m100link.errors import GuardRefused, LinkError, M100Error, StaleLease
 from m100link.protocol.records import Position
 from m100link.protocol.setpoint import Setpoint
 from m100link.sim.virtual import VirtualAircraft
@@ -90,6 +90,26 @@ async def flying(far: AgentClient, *, is_kept: bool = True) -> Lease:
     if not is_kept:
         page.cancel()
     return lease
+
+
+async def test_a_stop_that_it_heard_of_overtakes_the_later_steps_of_an_order(rig: Rig) -> None:
+    """The network gives each step the time at which it leaves: older ones would come too late."""
+    one = await rig.served("a1")
+    async with front(rig, await rig.pilot("anna")) as far:
+        lease = await flying(far)
+        asked_at = far.now
+        await anyio.sleep(0.2)
+        await one.agent.stop()
+        await rig.until(lambda: far.events[-1].topic is EventTopic.STOPPED)
+        for step in (orders.ChangeHeight(9.0), orders.GoHome(), orders.Obtain()):
+            with pytest.raises(GuardRefused, match="STOP was pressed after"):
+                await far.ask(step, lease, asked_at=asked_at)
+        await anyio.sleep(3.0)
+        assert one.height < 2.0
+        await far.ask(orders.Release(), lease, asked_at=asked_at)
+        await far.ask(orders.Obtain(), lease)
+        await far.ask(orders.ChangeHeight(4.0), lease)
+        assert one.height == pytest.approx(4.0, abs=0.5)
 
 
 async def test_it_is_activated_by_anybody_while_nobody_has_control(rig: Rig) -> None:

@@ -50,8 +50,6 @@ _LONGEST_STEP = 0.3
 _LOST_MEANWHILE = "control was lost meanwhile"
 _PAUSE_S = 1.0  # without a setpoint; the next one is meant anew, though not after STOP
 
-_ENDS = (orders.Release, orders.StopMission)  # under a lease, and move nothing
-
 _LOST = (LeaseChange.EXPIRED, LeaseChange.FRONT_LOST)
 """How a lease ends when nobody wanted it to."""
 
@@ -238,20 +236,13 @@ class Agent:
         ``at``: when it was asked, s. An order from before a STOP moves nothing, and undoes none.
         """
         # A front or an agent that stood still reads and sends in another order than people acted.
-        is_overtaken = at < self._stopped_at
-        if is_overtaken and order.moves and not isinstance(order, _ENDS):
-            raise GuardRefused(
-                f"STOP was pressed after {order.label} was asked for; nothing was sent",
-                guard="stopped",
-                cause="the front, the agent, or the computer stood still meanwhile",
-                remedy="look at the aircraft, and ask anew",
-            )
+        orders.require_newer(order, at, self._stopped_at)
         if order.needs is Needs.LEASE_IF_HELD:
             if self.leases.holder(self.now) is not None:
                 self.leases.check(token, self.now)
         elif order.needs is not Needs.NOTHING:
             self.leases.renew(token, self.now)
-        if is_overtaken and isinstance(order, orders.Halt):
+        if at < self._stopped_at and isinstance(order, orders.Halt):
             token = ""  # it begins nothing anew
         return HANDLERS[type(order)](OrderContext(self, token, accepted), order)
 
@@ -310,8 +301,8 @@ class Agent:
                 cause="the sender has not begun anew since",
                 remedy="ask for control again; at a page, let go of the keys",
             )
-        flying = self.holding.flying
-        if self.connection.aircraft is None or flying is None or not self.holding.has_authority:
+        flying, is_held = self.holding.flying, self.holding.state is HoldingState.HELD
+        if self.connection.aircraft is None or not (flying and is_held and flying.has_authority):
             self.connection.require_aircraft()  # which says why, if the line is lost
             flying = self.holding.require()
         flying.steer(setpoint, lifetime)
