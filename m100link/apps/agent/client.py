@@ -271,8 +271,9 @@ class AgentClient:
         self._samples: Hub[Sample] = Hub()
         self._from_mobile: Hub[bytes] = Hub()
         self._answers = PendingRequests(self._channel.send)
-        # When the newest STOP was heard of, s: over a network a later step is given a new time.
-        self._stopped_at = -math.inf
+        #: Time of the newest STOP that was heard of, s by this clock: what was asked before is
+        #: refused, and keys that a person released before it do not undo the STOP.
+        self.stopped_at = -math.inf
         # Time of the last event of the agent before, whose events another way tells again.
         self._known_until = -math.inf
         self._handlers: dict[type[Any], Callable[[Any], None]] = {
@@ -420,7 +421,7 @@ class AgentClient:
             event = replace(event, number=self.events[-1].number + 1)
         self.events.append(event)
         if event.topic is EventTopic.STOPPED:
-            self._stopped_at = self._clock()
+            self.stopped_at = self._clock()
         call_each(self.on_event, event)
 
     def _on_lease_changed(self, message: LeaseChanged) -> None:
@@ -465,7 +466,7 @@ class AgentClient:
             LinkError: It has gone.
         """
         fence, asked_at = lease.number if lease is not None else 0, asked_at or self._clock()
-        orders.require_newer(order, asked_at, self._stopped_at)
+        orders.require_newer(order, asked_at, self.stopped_at)
         return await self._answers.question(order, fence, accepted, asked_at)
 
     # -- telemetry -------------------------------------------------------------------------------

@@ -159,9 +159,6 @@ class ControlSession:
         # One request for control, or its end, at a time: they would cross.
         self._changing = asyncio.Lock()
         self._let_gos = 0  # what was asked for before the newest one is not wanted any more
-        #: Time of the newest STOP that this session heard of, s by the client's clock. An older
-        #: request counts no more, and keys that a person released before it do not undo the STOP.
-        self.stopped_at = -math.inf
         self._renewed_at = self._used_at = agent.now
         self._heard: list[tuple[list[Any], Callable[..., None]]] = [
             (agent.on_lease, self._lease_changed),
@@ -540,7 +537,7 @@ class ControlSession:
         ``at``: when at the earliest, s of the client's clock. A STOP since then stands: returns
         whether none does.
         """
-        is_anew = at >= self.stopped_at
+        is_anew = at >= self._agent.stopped_at
         if (lease := self.lease) is not None:
             self._agent.hover(why, lease if is_anew else None)
             if is_anew:
@@ -582,7 +579,6 @@ class ControlSession:
 
     def _event(self, event: Event) -> None:
         if event.topic is EventTopic.STOPPED:
-            self.stopped_at = self._agent.now
             self.feed(_I.STOP)
 
     def _steer_refused(self, fence: int, error: M100Error) -> None:

@@ -356,14 +356,7 @@ GuidedOrder = FlyTo | FlyAround | ChangeHeight | ChangeHeading
 
 
 def require_newer(order: Order, asked_at: float, stopped_at: float) -> None:
-    """Refuse what a STOP overtook: it moves nothing, and undoes no STOP.
-
-    ``asked_at``, ``stopped_at``: when the order, or the first step of it, was asked for, and the
-    newest STOP, s.
-
-    Raises:
-        GuardRefused: It did.
-    """
+    """Raise ``GuardRefused``: a STOP came after an order, or its first step, was asked for; s."""
     # What ends a flight under a lease moves nothing.
     if asked_at < stopped_at and order.moves and not isinstance(order, Release | StopMission):
         raise GuardRefused(

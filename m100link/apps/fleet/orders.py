@@ -7,14 +7,13 @@ needs the lease in force, and its proof.
 from __future__ import annotations
 
 import asyncio
-import math
 from dataclasses import dataclass, field
 
 from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.control_session import ControlSession
 from m100link.apps.agent.lease import Flown, Lease
-from m100link.apps.agent.messages import Event, EventTopic, MessageError, RemoteError, fault_of
+from m100link.apps.agent.messages import MessageError, RemoteError, fault_of
 from m100link.apps.fleet.identity import Since, nobody
 from m100link.apps.fleet.missions.manager import MissionManager
 from m100link.apps.fleet.order_log import OrderLog
@@ -64,13 +63,7 @@ class OrderService:
         self._descends_by: orders.Order = orders.Land()
         # Orders under a lease that have begun: the aircraft may be about to leave the ground.
         self._underway = 0
-        self._stopped_at = -math.inf  # when STOP was pressed last, by whomever, s
         client.on_lease.append(lambda _: self._forget())
-        client.on_event.append(self._event)
-
-    def _event(self, event: Event) -> None:
-        if event.topic is EventTopic.STOPPED:
-            self._stopped_at = self._client.now
 
     def _forget(self) -> None:
         """Leases that have ended are of no use, nor is why a setpoint under one was not flown."""
@@ -123,7 +116,7 @@ class OrderService:
                 await client.stop()
             case orders.Halt():
                 # Under its lease it begins anew after STOP, but not after one since it was made.
-                is_anew = order.clock >= self._stopped_at
+                is_anew = order.clock >= client.stopped_at
                 why = asked.why or f"{order.by}: hover"
                 client.hover(why, self._lease_if_any(order) if is_anew else None)
             case orders.Land() if not order.fence:
@@ -232,10 +225,7 @@ class OrderService:
             control.close()
 
     async def _end_task(self) -> float:
-        """End the task that the aircraft flies; a landing is left to its end.
-
-        Returns since when a STOP is somebody else's, s: it overtakes the way home.
-        """
+        """End the task that flies, but a landing. Returns since when a STOP is another's, s."""
         client, asked_at = self._client, self._client.now
         while client.state.task == Flown.LAND.value:  # noqa: ASYNC110 - no event says it
             await asyncio.sleep(_LOOK_S)

@@ -76,8 +76,6 @@ class MissionManager:
     async def start(self, lease: Lease, order: StartMission, asked_at: float | None) -> None:
         """Let the plan fly; done when it has begun, or when it is over.
 
-        ``asked_at``: as in :meth:`m100link.apps.agent.client.AgentClient.ask`.
-
         Raises:
             UsageError: It is another plan, there is none, or one is being uploaded.
             MissionRunning: One flies.

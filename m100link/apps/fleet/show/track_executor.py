@@ -183,10 +183,7 @@ class TrackExecutor:
         return track.digest
 
     def place(self, who: str, asked_at: float) -> None:
-        """Begin to take off and to fly to the first point.
-
-        ``asked_at``: when that was wanted, s: a STOP since then overtakes each step of it.
-        """
+        """Begin to take off and to fly to the first point; ``asked_at``: as an agent's client."""
         self._require(TakePlace, "place")
         TrackSteering(self._loaded(), self._fastest).require_fast_enough()
         self.heard()

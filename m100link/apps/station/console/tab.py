@@ -155,7 +155,7 @@ class Tab:
         at = said_at / 1000.0 if _is_number(said_at) else math.inf
         now = self._agent.now
         late = self.way.oldest(at, now)
-        if late > MAX_ORDER_LATE or now - late < self.session.stopped_at:
+        if late > MAX_ORDER_LATE or now - late < self._agent.stopped_at:
             waited = f"arrived {late:.1f} s late" if late < math.inf else "has no time"
             if late <= MAX_ORDER_LATE:
                 waited += ", and STOP came first"
