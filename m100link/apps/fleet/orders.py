@@ -131,17 +131,17 @@ class OrderService:
                     self._underway -= 1
         return Done()
 
-    async def _do(self, asked: orders.Order, lease: Lease | None, asked_at: float | None) -> Done:
+    async def _do(self, asked: orders.Order, lease: Lease | None, at: float | None) -> Done:
         # By when it was asked for: a STOP since then may not have been heard here.
         if isinstance(asked, orders.Activate) and self._client.state.is_activated:
             return Done()
         if isinstance(asked, orders.StartMission) and lease is not None:
-            await self.missions.start(lease, asked, asked_at)
+            await self.missions.start(lease, asked, at)
             return Done()
         if isinstance(asked, orders.Obtain) and lease is not None:
             granted = self.leases[lease.number]
-            asked_at, granted.asked_at = granted.asked_at or asked_at, None
-        outcome = await self._client.ask(asked, lease, asked_at=asked_at)
+            at, granted.asked_at = granted.asked_at or at, None
+        outcome = await self._client.ask(asked, lease, asked_at=at)
         if isinstance(asked, orders.PauseMission | orders.ResumeMission):
             self.missions.paused(is_paused=isinstance(asked, orders.PauseMission))
         return Done(outcome.text, outcome.number)

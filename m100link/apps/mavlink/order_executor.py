@@ -136,9 +136,7 @@ class OrderExecutor:
         self._asked_at = self._looked_at
         self._work = self._agent.background.spawn(self._carry_out(order), type(order).__name__)
 
-    async def _ask(
-        self, order: Order, lease: Lease | None, accepted: Callable[[], None] | None = None
-    ) -> None:
+    async def _ask(self, order: Order, lease: Lease | None, accepted: Any = None) -> None:
         await self._agent.ask(order, lease, accepted, self._asked_at)
 
     async def _carry_out(self, order: VehicleOrder) -> None:
@@ -205,10 +203,8 @@ class OrderExecutor:
             LinkError, NoAuthority: See each class.
         """
         if is_interrupting:
-            try:
-                await self._agent.stop()
-            finally:
-                self._asked_at = self._agent.now  # but not one of its own
+            await self._agent.stop()
+            self._asked_at = self._agent.now  # a STOP of its own overtakes nothing
             # A stop keeps it where no task is known.
             await self._ask(orders.Release(), lease)
             await self._ask(orders.Obtain(), lease)

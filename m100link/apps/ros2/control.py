@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Awaitable, Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
@@ -25,6 +25,7 @@ from m100link.protocol.setpoint import Setpoint
 SILENCE_S = 0.5  # seconds without a setpoint after which a publisher has let go
 _JITTER_S = 0.1  # by how much a pause may be shorter where it is made than where it is heard
 _MOST_SENDERS = 32
+_Ask = Callable[..., Any]  # the agent, under a lease, since a time
 
 
 @dataclass(slots=True)
@@ -205,9 +206,6 @@ IDLE_S = 60.0  # seconds on the ground without an order after which control is g
 TERMS = Terms(gives_way=True, idle_s=IDLE_S, who="ROS", remedy="call ~/obtain_control first")
 
 
-Ask = Callable[..., Awaitable[object]]
-
-
 class RosControl:
     """Control of the aircraft by ROS programs, and what is asked under it."""
 
@@ -248,7 +246,7 @@ class RosControl:
         ask = partial(self._agent.ask, lease=lease, asked_at=self._agent.now)
         await self._agent.background.begin(partial(self._flown, ask, task), task.label)
 
-    async def _begin(self, ask: Ask, task: orders.Order, begun: asyncio.Event) -> None:
+    async def _begin(self, ask: _Ask, task: orders.Order, begun: asyncio.Event) -> None:
         """Fly a task. A mission of the aircraft's own has to be over before a landing."""
         try:
             await ask(task, accepted=begun.set)
@@ -263,7 +261,7 @@ class RosControl:
             self._agent.note(f"the mission before {task.label}: {error.seen}")
         await ask(task, accepted=begun.set)
 
-    async def _flown(self, ask: Ask, task: orders.Order, begun: asyncio.Event) -> None:
+    async def _flown(self, ask: _Ask, task: orders.Order, begun: asyncio.Event) -> None:
         try:
             await self._begin(ask, task, begun)
         except M100Error as error:
