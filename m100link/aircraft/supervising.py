@@ -137,7 +137,6 @@ class BackOff:
     jitter: float = 0.2
 
     def __post_init__(self) -> None:
-        """Check the ranges."""
         if not (0 < self.first <= self.most < float("inf") and 1 <= self.factor < float("inf")):
             raise UsageError(
                 f"{self} never ends or never begins", remedy="0 < first <= most, and factor >= 1"
@@ -326,7 +325,6 @@ class Supervised:
             raise UsageError("the supervision has not begun", remedy="async with supervise(...)")
 
     async def _change(self) -> None:
-        """Wait until the state has changed."""
         loop = asyncio.get_running_loop()
         if self._task is not None and self._task.get_loop() is not loop:
             raise of_another_loop()

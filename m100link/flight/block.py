@@ -281,7 +281,6 @@ class ControlBlock:
             await self.guardian.end()
 
     def _on_guardian(self, error: GuardianTookOver) -> None:
-        """The guardian ends the flight."""
         # Its frames give authority back and it reads no acks: the state is UNRELEASED then.
         self._authority.feed(AuthorityInput.RELEASE)
         self._authority.feed(AuthorityInput.NOT_RELEASED)

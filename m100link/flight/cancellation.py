@@ -335,7 +335,6 @@ def _would_end_the_program(number: signal.Signals, handler: Any) -> bool:
 
 
 def _other_watch(handler: Any) -> OtherWatch | None:
-    """The watch whose handler that is."""
     owner = getattr(handler, "__self__", None)
     return owner if isinstance(owner, OtherWatch) else None
 

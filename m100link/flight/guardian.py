@@ -341,7 +341,6 @@ class Guardian(Generic[W]):
             self._process.kill()
 
     def _tell(self) -> None:
-        """It has taken over."""
         if self._has_taken_over:
             return
         self._has_taken_over = True

@@ -183,7 +183,6 @@ class LogThread(logging.Filter):
 
 
 def _handlers(logger: logging.Logger) -> Iterator[logging.Handler]:
-    """Those that its records reach."""
     here: logging.Logger | None = logger
     while here is not None:
         yield from here.handlers

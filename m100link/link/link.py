@@ -439,7 +439,6 @@ class Link(asyncio.Protocol):
         )
 
     def _flush(self) -> None:
-        """Write what is ready."""
         transport, gate = self._transport, self.gate
         debug = _logger.isEnabledFor(logging.DEBUG)
         for wire in self._endpoint.output():

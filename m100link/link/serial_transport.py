@@ -239,7 +239,6 @@ class SerialTransport(asyncio.Transport):
             raise
 
     def _send(self) -> None:
-        """Give the system what it takes."""
         data, taken = self._unsent
         try:
             # As in _read: how much was taken is known by the next instruction.
@@ -255,7 +254,6 @@ class SerialTransport(asyncio.Transport):
             self._settle()
 
     def _settle(self) -> None:
-        """Forget what the system has taken."""
         rest = _rest(self._unsent)
         self._unsent = (rest, []) if rest else _NOTHING
 

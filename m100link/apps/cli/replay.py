@@ -109,7 +109,6 @@ def _keys(station: Any, ended: asyncio.Event) -> Iterator[None]:
 
 
 async def _order(station: Any, text: str) -> None:
-    """The same for every recording."""
     agents = getattr(station, "agents", None)
     try:
         if agents is None:

@@ -310,7 +310,6 @@ def _announcement(plan: _Plan, ports: list[str], control: CtlServer) -> dict[str
 
 
 async def _show(plan: _Plan, ports: list[str], ended: asyncio.Event) -> None:
-    """The live view, until it ends."""
     from rich.live import Live
 
     view = LiveView(plan.aircraft[0], ports)

@@ -323,7 +323,6 @@ class WaypointTracker(MissionTracker):
             yield Finished()
 
     def _idle(self, status: wire.IdleStatus | wire.IocStatus) -> Iterator[MissionEvent | Over]:
-        """No mission flies any more."""
         if not self._is_finished and (status.is_broken_off or status.reason):
             yield broken_off(status, self.index)
             return

@@ -178,7 +178,6 @@ class HotpointFlight(MissionFlight):
         self._largest_radius = answer.largest_radius
 
     def _check(self, radius: float, rate: float) -> None:
-        """Ask the guards for a circle."""
         self._context.guards.check_target(
             "the hotpoint",
             self._centre,

@@ -96,7 +96,6 @@ class MissionGuard:
 
     @property
     def _flying_since(self) -> float | None:
-        """Since when the pushes report it."""
         kind = self._flying_kind
         return None if kind is None else self._watch.reported_since(kind)
 

@@ -478,7 +478,6 @@ class MissionSession:
         self._let_go()
 
     def _let_go(self) -> None:
-        """Watch it no more."""
         watch = self._context.commander.missions
         # By now it may be the listener of a newer mission.
         if watch.listener == self._on_push:

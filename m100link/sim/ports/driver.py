@@ -414,7 +414,6 @@ def _options(url: str) -> dict[str, Any]:
 
 
 def _kinds() -> dict[str, Any]:
-    """The type of each option."""
     kinds = dict(_OWN)
     sources: tuple[tuple[type, dict[str, str]], ...] = (
         (LineFaults, LINE_OPTIONS),

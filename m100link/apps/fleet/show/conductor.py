@@ -152,7 +152,6 @@ class Conductor:
     # -- one of them -----------------------------------------------------------------------------
 
     async def _look(self, track: TimedTrack) -> Part:
-        """Where it stands."""
         return await self._ask(track, AskShow(self._run))
 
     async def _ask(self, track: TimedTrack, asked: AboutShow) -> Part:

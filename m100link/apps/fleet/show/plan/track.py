@@ -400,7 +400,6 @@ def under(
 
 
 def _breaks(first: TimedTrack, second: TimedTrack) -> list[float]:
-    """Times between which both are one curve."""
     times = {0.0, *(point.at for track in (first, second) for point in track.points)}
     return sorted(times)
 
