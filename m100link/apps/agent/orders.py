@@ -357,7 +357,7 @@ GuidedOrder = FlyTo | FlyAround | ChangeHeight | ChangeHeading
 
 def require_newer(order: Order, asked_at: float, stopped_at: float) -> None:
     """Raise ``GuardRefused``: a STOP came after an order, or its first step, was asked for; s."""
-    # What ends a flight under a lease moves nothing.
+    # An order that ends a flight under a lease moves nothing.
     if asked_at < stopped_at and order.moves and not isinstance(order, Release | StopMission):
         raise GuardRefused(
             f"STOP was pressed after {order.label} was asked for; nothing was sent",
