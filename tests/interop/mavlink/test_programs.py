@@ -287,16 +287,27 @@ def test_a_front_that_is_killed_leaves_a_hover_and_comes_back() -> None:
         found.assert_hovers()
 
 
-def front_of(found: Site) -> int:
-    """The process that strangers reach; the other one has the aircraft."""
-    children = subprocess.run(
-        ["ps", "-o", "pid=", "--ppid", str(found.bridge.pid)],
+def children_of(found: Site) -> dict[bool, int]:
+    """The children of the process that has the aircraft: the guardian (True), and the front."""
+    listed = subprocess.run(
+        ["ps", "-ww", "-o", "pid=,args=", "--ppid", str(found.bridge.pid)],
         capture_output=True,
         text=True,
         check=True,
     )
-    [front] = [int(one) for one in children.stdout.split()]
-    return front
+    rows = (line.split(maxsplit=1) for line in listed.stdout.splitlines())
+    return {"guardian_process" in words: int(process) for process, words in rows}
+
+
+def front_of(found: Site) -> int:
+    """The process that strangers reach; the other one has the aircraft."""
+    return children_of(found)[False]
+
+
+def kill_with_its_guardian(found: Site) -> None:
+    """Nobody is left who could stop a mission: the guardian first, or it would."""
+    os.kill(children_of(found)[True], signal.SIGKILL)
+    found.bridge.kill()
 
 
 @needs_grpc
@@ -320,10 +331,11 @@ ENDINGS: dict[str, Callable[[Site, subprocess.Popen[str]], object]] = {
     "the program is killed": lambda _, program: os.killpg(program.pid, signal.SIGKILL),
     "the bridge gets SIGTERM": lambda found, _: found.bridge.terminate(),
     "the front is killed": lambda found, _: os.kill(front_of(found), signal.SIGKILL),
+    "the agent is killed": lambda found, _: found.bridge.kill(),
     "the pilot takes it": lambda found, _: found.order("rc-mode", "P"),
 }
 LOSSES: dict[str, Callable[[Site], object]] = {
-    "the agent is killed": lambda found: found.bridge.kill(),
+    "the agent and its guardian are killed": kill_with_its_guardian,
     "the cable is pulled": lambda found: found.order("unplug"),
 }
 
