@@ -271,8 +271,8 @@ class AgentClient:
         self._samples: Hub[Sample] = Hub()
         self._from_mobile: Hub[bytes] = Hub()
         self._answers = PendingRequests(self._channel.send)
-        #: Time of the newest STOP that was heard of, s by this clock: what was asked before is
-        #: refused, and keys that a person released before it do not undo the STOP.
+        #: Time of the newest STOP that was heard of, s by this clock. Older orders are refused, and
+        #: keys that a person released before it do not undo the STOP.
         self.stopped_at = -math.inf
         # Time of the last event of the agent before, whose events another way tells again.
         self._known_until = -math.inf
