@@ -96,10 +96,14 @@ class _Frames(ServerProtocol):
 
     def send_response(self, response: Response) -> None:
         """Accepted, refused or failed: each goes out here."""
-        for name, value in HEADERS:
-            if name not in response.headers:
-                response.headers[name] = value
-        super().send_response(response)
+        super().send_response(_with_headers(response))
+
+
+def _with_headers(response: Response) -> Response:
+    for name, value in HEADERS:
+        if name not in response.headers:
+            response.headers[name] = value
+    return response
 
 
 class WebSocketConnection(WebSocketsSansIOProtocol):
@@ -145,9 +149,15 @@ class WebSocketConnection(WebSocketsSansIOProtocol):
             self.transport.resume_reading()
 
     def data_received(self, data: bytes) -> None:
-        """A client that says anything is alive."""
+        """A client that says anything is alive; the first data are the head of its request."""
         self._heard_at = self.loop.time()
         super().data_received(data)
+        if not self.handshake_initiated:
+            # h11 took the head, and websockets does not: nobody else would answer it, or end this.
+            refusal = self.conn.reject(HTTPStatus.BAD_REQUEST, "This cannot be read.")
+            said = b"".join(self.conn.data_to_send()) or _with_headers(refusal).serialize()
+            self.transport.write(said)
+            self.transport.close()
 
     def keepalive_timeout(self) -> None:
         """No pong came in time: the client is gone, unless it said something else since.

@@ -27,6 +27,7 @@ pytestmark = pytest.mark.anyio
 TOKEN = "0123456789abcdefXY"
 UPGRADE = "Connection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\n"
 KEY = "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n"
+MANY = "X-Many: x\r\n" * 130
 HOST = "Host: 127.0.0.1:{port}\r\n"
 
 
@@ -73,6 +74,10 @@ async def ask(port: int, request: str, within: float = PATIENCE) -> str:
         (f"GET / HTTP/1.1\r\n{HOST}{UPGRADE}\r\n", 400),
         (f"GET / HTTP/1.1\r\n{HOST}{UPGRADE.replace('13', '7')}{KEY}\r\n", 400),
         (f"GET / HTTP/1.1\r\n{HOST}{UPGRADE}{KEY}Origin: http://evil.example\r\n\r\n", 403),
+        # HTTP's parser takes these heads, and that of WebSockets does not.
+        (f"GET / HTTP/1.1\r\n{HOST}{UPGRADE}{KEY}X-Odd: a\bb\r\n\r\n", 400),
+        (f"GET / HTTP/1.1\r\n{HOST}{UPGRADE}{KEY}X-Long: {'x' * 9000}\r\n\r\n", 431),
+        (f"GET / HTTP/1.1\r\n{HOST}{UPGRADE}{KEY}{MANY}\r\n", 431),
     ],
 )
 async def test_no_answer_may_stand_in_a_frame_of_another_page(
