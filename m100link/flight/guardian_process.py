@@ -80,6 +80,8 @@ def opened(half: bytes) -> tuple[int, int, _Frames, _Frames] | None:
     frames: tuple[_Frames, _Frames] = [], []
     at = _HEAD.size
     while at < end:
+        if end - at < _STEP.size:
+            return None
         which, count, length, gap = _STEP.unpack_from(half, at)
         at += _STEP.size + length
         if which > 1 or at > end:

@@ -19,6 +19,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
+from zlib import crc32
 
 import pytest
 
@@ -155,6 +156,14 @@ def test_a_changed_half_does_not_count() -> None:
         for _ in range(chance.randint(1, 8)):
             changed[chance.randrange(size)] ^= chance.randint(1, 255)
         assert changed == half or page.opened(bytes(changed)) is None
+
+
+@pytest.mark.parametrize("size", range(1, 8))
+def test_a_half_whose_last_step_is_cut_off_does_not_count(size: int) -> None:
+    """The checksum is right, and what is too short for a step stands at the end of the half."""
+    whole = page.sealed(2, 600, PLAN)
+    body = whole[4:12] + (len(whole) - 16 + size).to_bytes(4, "little") + whole[16:] + bytes(size)
+    assert page.opened(crc32(body).to_bytes(4, "little") + body) is None
 
 
 def test_what_does_not_fit_is_refused() -> None:
