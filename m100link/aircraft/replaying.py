@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import parse_qsl, unquote
@@ -45,7 +46,7 @@ def parse_replay(url: str) -> ReplayURL:
     if not name:
         raise _bad(url, "names no file")
     path = read_path(name)
-    if "%" in name and not path.exists():
+    if "%" in name and not os.path.exists(path):
         path = read_path(unquote(name))
     values: dict[str, float] = {}
     for option, text in parse_qsl(options, keep_blank_values=True):

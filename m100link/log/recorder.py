@@ -390,7 +390,7 @@ def _nothing() -> tuple[None, None]:
 
 def _new_file(place: Path) -> tuple[Path, IO[bytes]]:
     names = [place]
-    if place.is_dir():
+    if os.path.isdir(place):
         stem = time.strftime("m100link-%Y%m%d-%H%M%S")
         names = [place / f"{stem}{mark}.mcap" for mark in ("", *(f"-{n}" for n in range(2, 1000)))]
     for path in names:

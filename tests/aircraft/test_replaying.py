@@ -303,6 +303,7 @@ def test_paths_are_written_as_people_write_them(
         "replay://../a b/flight.mcap": Path("../a b/flight.mcap"),
         "replay://a%20b.mcap": Path("a b.mcap"),
         "replay://~/flight.mcap": tmp_path / "flight.mcap",
+        f"replay://{'x' * 300}%20": Path("x" * 300 + " "),  # too long to be a file
         f"replay://{odd}": odd,
         f"replay://{odd}?speed=3": odd,
     }.items():

@@ -221,6 +221,7 @@ async def test_files_that_cannot_be_are_refused_before_a_port_is_opened(tmp_path
     for path, why in (
         (there, "is there already"),
         (tmp_path / "no" / "such.mcap", "No such file or directory"),
+        (tmp_path / ("x" * 300), "File name too long"),
     ):
         with pytest.raises(UsageError, match=why):
             await connect("/dev/no-such-port", record=path)

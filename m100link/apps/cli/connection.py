@@ -495,7 +495,7 @@ def udev(
     """
     machine = Machine()
     device = port or _only_adapter(machine)
-    if port is not None and not Path(port).exists():
+    if port is not None and not os.path.exists(port):
         known = ", ".join(serial_ports()) or "none"
         raise PortNotFound(
             f"there is no device {device}",

@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import csv as csv_module
 import json
+import os
 import signal
 import sys
 import time
@@ -268,7 +269,7 @@ def plot(file: Log, /, *, output: Output = None, firmware: AsFlown = None) -> in
         raise UsageError(
             f"{target} is neither a page nor a picture", remedy="end the name in .html or .png"
         )
-    if target.exists():
+    if os.path.exists(target):
         raise _is_there(target)
     with reading(file, passes=2) as flight:
         story = read_story(flight, firmware=firmware)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
@@ -97,7 +98,7 @@ def _names_an_aircraft(word: str) -> bool:
     """Whether a word that should be a file is a URL, a port, or a name of the configuration."""
     if "://" in word or word.startswith("sim:"):
         return True
-    if Path(word).exists():
+    if os.path.exists(word):
         return Path(word).is_char_device()
     if word.startswith("/dev/"):
         return True
@@ -299,11 +300,11 @@ def _write(
 def require_free(target: str | Path, *, force: bool) -> None:
     """Check a target before any work. Raises UsageError: a file is there, or there can be none."""
     path = Path(target)
-    if path.is_dir():
+    if os.path.isdir(path):
         raise UsageError(f"{target} is a folder", remedy=f"name a file: {path / 'plan.json'}")
-    if path.exists() and not force:
+    if os.path.exists(path) and not force:
         raise UsageError(f"{target} is there already", remedy="--force writes over it")
-    if not path.parent.is_dir():
+    if not os.path.isdir(path.parent):
         raise UsageError(
             f"there is no folder {path.parent}", remedy="make it first, or name another folder"
         )

@@ -95,7 +95,7 @@ def test_everything_that_is_wrong_is_reported_at_once(cli: CommandLine, file: st
 
 
 @pytest.mark.parametrize("verb", ["check", "show", "convert"])
-@pytest.mark.parametrize("name", ["missing.json", "", "text.txt"])
+@pytest.mark.parametrize("name", ["missing.json", "", "text.txt", "x" * 300])
 def test_what_is_not_a_plan_ends_with_an_error_and_no_traceback(
     cli: CommandLine, tmp_path: Path, verb: str, name: str
 ) -> None:

@@ -109,6 +109,7 @@ def test_settings_are_shown_with_their_origin(tmp_path: Path) -> None:
         (("serve", "--sim", "--host", "0.0.0.0"), "there is no token"),
         (("serve", "--sim", "--launch", "/none.launch"), "launch file cannot be read"),
         (("serve", "--sim", "--pages", "/none"), "is not a folder"),
+        (("serve", "--sim", "--pages", "x" * 300), "is not a folder"),
         (("serve", "--sim", "--port", "99999"), "there is no port 99999"),
         (("serve", "--sim", "--also-port", "-1"), "there is no port -1"),
         (("console", "--sim", "--console-port", "65536"), "there is no port 65536"),

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import os
 import re
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
@@ -81,7 +82,7 @@ def console_app(
     app.router.routes += [WebSocketRoute("/steer/{key}", tabs.serve), Route("/sw.js", worker)]
     app.mount("/console", Policy(StaticFiles(directory=STATIC)))
     if settings.tiles is not None:
-        if not settings.tiles.is_dir():
+        if not os.path.isdir(settings.tiles):
             raise UsageError(f"{settings.tiles} is not a folder")
         app.mount("/tiles", PublicFiles(directory=settings.tiles))
 

@@ -87,7 +87,7 @@ class RosbridgeServer:
             Route("/health", self._health),
         ]
         if pages is not None:
-            if not pages.is_dir():
+            if not os.path.isdir(pages):
                 raise UsageError(f"{pages} is not a folder")
             routes.append(Mount("/", PublicFiles(directory=pages, html=True)))
         else:
