@@ -18,6 +18,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 from unittest.mock import MagicMock, Mock, patch
+from zlib import crc32
 
 from cryptography import x509
 from cryptography.hazmat.primitives.asymmetric import ec
@@ -80,6 +81,7 @@ from m100link.apps.station.console.view.texts import DisplaySettings
 from m100link.apps.station.foxglove import FoxgloveChannel, Viewer
 from m100link.apps.station.web.access_control import Access, AccessControl
 from m100link.errors import M100Error, UsageError
+from m100link.flight.guardian_process import HALF_SIZE, opened, sealed
 from m100link.link.keyfile import read_key, read_token
 from m100link.log import read, recover
 from m100link.log.cdr import DEFINITIONS
@@ -117,6 +119,7 @@ __all__ = [
     "foxglove",
     "frames_seeds",
     "gate",
+    "guardian_page",
     "hex_lines",
     "keys",
     "ledger",
@@ -126,6 +129,7 @@ __all__ = [
     "machine",
     "mavlink",
     "of_file",
+    "page_seeds",
     "place",
     "read_cdr",
     "read_lease_file",
@@ -499,6 +503,28 @@ def answers(data: bytes) -> None:
     for sessions in (["1"], ["1", "2"]):
         with suppress(M100Error):
             believed(given, _KEYS, "0" * 32, sessions)
+
+
+# -- the guardian ---------------------------------------------------------------------------------
+
+
+def page_seeds() -> list[bytes]:
+    """A half of its page with the end of a setpoint and that of a flight."""
+    return [sealed(3, 900, [(0, 20, 2, b"frame"), (1, 500, 1, bytes(40)), (1, 0, 3, b"")])]
+
+
+def guardian_page(data: bytes) -> None:
+    """A half of its page: as it is, and with the checksum and the size that are right."""
+    rest = data[4:HALF_SIZE].ljust(12, b"\0")
+    rest = rest[:8] + (len(rest) - 12).to_bytes(4, "little") + rest[12:]
+    for half in (data.ljust(16, b"\0"), crc32(rest).to_bytes(4, "little") + rest):
+        found = opened(half)
+        if found is None:
+            continue
+        generation, patience, *steps = found
+        frames = [(end, gap, 1, one) for end in range(2) for gap, one in steps[end]]
+        with suppress(ValueError):  # written out, they are too long
+            assert opened(sealed(generation, patience, frames)) == found
 
 
 # -- what is asked of servers ---------------------------------------------------------------------

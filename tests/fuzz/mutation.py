@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import struct
 from collections.abc import Sequence
 from random import Random
 
@@ -17,6 +19,36 @@ _INTERESTING = (
     *(b"<", b"&", b"<!", b"$(", b"\n", b"=", b"'''", b"\xef\xbb\xbf", b"\xed\xa0\x80"),
 )
 
+_WORDS = re.compile(
+    rb'"(?:[^"\\\n]|\\.)*"|\b(?:true|false|null)\b|-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?'
+)
+_BRACKETS = re.compile(rb"\{[^{}]*\}|\[[^][]*\]")
+"""Values of JSON, TOML and the like: those without parts, keys too, and those without others."""
+
+_VALUES = (
+    *(b"null", b"true", b"false", b"0", b"1", b"-1", b"256", b"65536", b"4294967296", b"1e308"),
+    *(b"-1e308", b"5e-324", b"-0.0", b"NaN", b"Infinity", b"18446744073709551616", b"1e400"),
+    *(b'""', b'"1"', b'"\\u0000"', b'"\\ud800"', b'"\xc3\xa9"', b"[]", b"{}", b"[[]]", b"[null]"),
+    *(b'{"":0}', b'{"a":[1]}', b'"' + b"x" * 5000 + b'"', b"[" + b"0," * 1500 + b"0]"),
+)
+
+_NUMBERS = (
+    *(struct.pack("<f", one) for one in (float("nan"), float("inf"), -3e38, 1e-45, 181.0)),
+    *(struct.pack("<d", one) for one in (float("nan"), float("-inf"), 1e308, 5e-324, -181.0)),
+    *(struct.pack("<q", one)[:size] for one in (-1, 1 << 31, (1 << 63) - 1) for size in (2, 4, 8)),
+)
+"""Of frames and CDR, which have them in place, not between others."""
+
+
+def _with_another_value(data: bytearray, dice: Random, other: bytes) -> None:
+    """One value becomes another one, which may be of another kind or of another seed."""
+    kind, given = dice.choice((_WORDS, _BRACKETS)), dice.choice((_WORDS, _BRACKETS))
+    places = [one.span() for one in kind.finditer(data)]
+    if places:
+        begin, end = dice.choice(places)
+        values = given.findall(other) if dice.randrange(3) == 0 else ()
+        data[begin:end] = dice.choice(values or _VALUES)
+
 
 def changed(dice: Random, seeds: Sequence[bytes], tokens: Sequence[bytes] = ()) -> bytes:
     """One of the seeds, with one to nine changes.
@@ -31,7 +63,7 @@ def changed(dice: Random, seeds: Sequence[bytes], tokens: Sequence[bytes] = ()) 
     # Mostly one: what is changed too much is refused at its first letter.
     for _ in range(1 + min(8, int(dice.expovariate(1.0)))):
         at = dice.randrange(len(data) + 1)
-        match dice.randrange(8):
+        match dice.randrange(12):
             case 0 if data:
                 data[at % len(data)] ^= 1 << dice.randrange(8)
             case 1 if data:
@@ -48,6 +80,11 @@ def changed(dice: Random, seeds: Sequence[bytes], tokens: Sequence[bytes] = ()) 
                 other = dice.choice(seeds)
                 begin = dice.randrange(len(other) + 1)
                 data[at:] = other[begin:]
+            case 7 | 8 | 9:
+                _with_another_value(data, dice, dice.choice(seeds))
+            case 10:
+                number = dice.choice(_NUMBERS)
+                data[at : at + len(number)] = number
             case _:
                 data += dice.choice(seeds)
     return bytes(data[:MOST])

@@ -65,6 +65,7 @@ _REASONS: dict[str, tuple[str, ...]] = {
         "apps/fleet/pki.py _authority",
         "apps/fleet/pki.py _kept",
         "apps/fleet/pki.py listed",
+        "apps/station/ros/messages.py _base64",
         "protocol/items.py ItemLayout.__post_init__",
         "wire/crc.py _sequence_crc16",
     ),
@@ -74,13 +75,6 @@ _REASONS: dict[str, tuple[str, ...]] = {
         "apps/doctor/line.py _text",
         "apps/doctor/machine.py Machine.is_left_alone",
         "link/transport.py port_owners",
-    ),
-    "no seed reaches it yet: only tests of its own do": (
-        "log/channels.py RateLimiter.hear",
-        "protocol/packet.py TelemetryPacket._layouts",
-        "apps/station/ros/messages.py _base64",
-        "apps/station/ros/messages.py _read_bytes",
-        "wire/frame.py _all_right",
     ),
     "the simulator's answer, which the account that asks runs": ("sim/orders.py send_order",),
 }

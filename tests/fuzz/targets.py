@@ -10,9 +10,11 @@ import json
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
+
+from websockets.exceptions import InvalidState
 
 from m100link.aircraft.replaying import parse_replay
 from m100link.apps.agent.codec import decode as decode_message
@@ -26,6 +28,7 @@ from m100link.apps.station.ros.client import Client
 from m100link.apps.station.ros.graph import Graph, add_rosapi
 from m100link.errors import BadPlan, BadURL, LayoutMismatch, M100Error, UsageError
 from m100link.link.url import parse_url
+from m100link.log.channels import RateLimiter
 from m100link.missions.plan import WaypointPlan
 from m100link.protocol.command import plain
 from m100link.protocol.commands.registry import COMMANDS, parse_command
@@ -34,8 +37,9 @@ from m100link.protocol.packet import TelemetryPacket
 from m100link.sim.orders import Scenario
 from m100link.sim.ports.driver import aircraft_of, speed_of
 from m100link.wire import Cipher, FrameDecoder
+from m100link.wire.crc import header_crc16
 from tests.apps.fleet.show.shows import FIVE
-from tests.fuzz import files, worlds
+from tests.fuzz import connections, files, worlds
 from tests.fuzz.worlds import World
 
 __all__ = ["TARGETS", "Target"]
@@ -74,7 +78,17 @@ def _vectors(name: str, field: str) -> list[bytes]:
 
 
 def _streams() -> list[bytes]:
-    return _vectors("frames", "frame") + _vectors("later-commands", "frame") + _long_streams()
+    found = _vectors("frames", "frame") + _vectors("later-commands", "frame") + _long_streams()
+    return [*found, _half_right()]
+
+
+def _half_right() -> bytes:
+    """A flood of start bytes; every fourth byte is half of a right CRC16 of a header."""
+    made = bytearray(b"\xaa" * 12)
+    while len(made) < 300:
+        made += b"\xaa" * 3
+        made.append(header_crc16(bytes(made[-10:])) & 0xFF)
+    return bytes(made)
 
 
 @cache
@@ -143,6 +157,8 @@ def _read_telemetry(data: bytes) -> None:
         except LayoutMismatch:
             continue
         package.row()
+        package.raw_items()
+        assert RateLimiter(0.0).hear(data, profile, 1.0)
         repr([package.attitude, package.position, package.remote_control, package.control_device])
 
 
@@ -368,9 +384,30 @@ TARGETS: dict[str, Target] = {
     "agent's socket": Target(World(worlds.on_socket), worlds.agent_seeds, share=2),
     "console's socket": Target(World(worlds.on_console), worlds.page_seeds, share=4),
     "console's events": Target(files.events, lambda: _EVENTS, (ValueError, RecursionError)),
-    "rosbridge with an aircraft": Target(
-        World(worlds.on_rosbridge), worlds.rosbridge_seeds, tokens=(b'"op":', b"\n\n"), share=4
+    **{
+        name: Target(
+            World(partial(connections.on_rosbridge, has_control=has_control)),
+            connections.rosbridge_seeds,
+            tokens=(b'"op":', b"\n\n"),
+            share=4,
+        )
+        for name, has_control in (
+            ("rosbridge with an aircraft", False),
+            ("rosbridge's pilot", True),
+        )
+    },
+    "serial line": Target(
+        World(connections.on_line), lambda: connections.line_seeds(_commands(), _acks()), share=2
     ),
+    "HTTP": Target(
+        World(connections.on_http),
+        connections.http_seeds,
+        # uvicorn logs them for a text that is not UTF-8, and the connection ends.
+        (InvalidState, UnicodeDecodeError),
+        (b"\r\n", b"\x81\x80"),
+        share=4,
+    ),
+    "guardian's page": Target(files.guardian_page, files.page_seeds),
     "ROS 2 node": Target(World(worlds.on_node), worlds.ros2_seeds, share=4),
     "ROS 2 tokens": Target(files.tokens, lambda: _TOKENS, tokens=(b"/", b"%", b"@ros2_lv")),
     "CDR": Target(files.read_cdr, files.cdr_seeds, (ValueError,)),

@@ -17,6 +17,7 @@ import pytest
 from m100link.apps.agent.background import TaskSet
 from m100link.protocol.firmware import PROFILES
 from tests.fuzz import run
+from tests.fuzz.connections import http_seeds
 from tests.fuzz.guided import quoted
 from tests.fuzz.mutation import MOST, changed
 from tests.fuzz.readers import WITHOUT, readers
@@ -78,6 +79,7 @@ ONCE = [
     ("rights", b"site = " + b"[" * 3000),
     ("station's file", b"station = 1"),
     ("station's file", b"[station]\ntimeout = " + b"9" * 400),
+    ("URL", b"replay://%" + b"x" * 300),
     ("URL", b"replay://~nobody_of_that_name/flight.mcap"),
     ("console's events", b'{"name": [], "value": 1}'),
     ("fleet's values", None),
@@ -86,6 +88,8 @@ ONCE = [
     ("shared lease", b'{"fence": 1e400, "token": "a"}'),
     ("simulator's socket", b'{"order": ' + b"[" * 3000),
     ("machine", b"\x86"),
+    ("guardian's page", bytes(12) + b"\5"),
+    ("HTTP", http_seeds()[-1].replace(b"Key: A", b"Key: \b")),
     ("rosbridge", b'{"op":"call_service","service":"x","id":"\\ud800","compression":"cbor"}'),
 ]
 
