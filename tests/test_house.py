@@ -275,3 +275,39 @@ def test_a_test_that_waits_for_a_process_has_patience() -> None:
     )
     found = [path.name for path in programs("tests") if waits.search(path.read_text("utf-8"))]
     assert found == []
+
+
+def holds_of_anything(test: ast.expr) -> bool:
+    """A count of at least 0, a value that equals itself, and what is true as it stands."""
+    if isinstance(test, ast.Compare):
+        left, right = test.left, test.comparators[0]
+        counts = isinstance(left, ast.Call) and ast.unparse(left.func) in ("len", "sum")
+        if isinstance(test.ops[0], ast.GtE) and counts and ast.unparse(right) == "0":
+            return True
+        calls = any(isinstance(one, ast.Call | ast.Await) for one in ast.walk(left))
+        return not calls and ast.dump(left) == ast.dump(right)
+    return isinstance(test, ast.GeneratorExp | ast.Lambda | ast.JoinedStr | ast.Tuple) or (
+        isinstance(test, ast.Constant) and bool(test.value)
+    )
+
+
+@pytest.mark.parametrize(
+    ("code", "holds"),
+    [
+        *(("len(a) >= 0", True), ("sum(1 for _ in a) >= 0", True), ("a.b == a.b", True)),
+        *(("(a, 'text')", True), ("(b for b in a)", True), ("f'{a}'", True), ("1", True)),
+        *(("len(a) >= 1", False), ("a.b >= 0", False), ("a(1) == a(1)", False), ("a", False)),
+    ],
+)
+def test_what_holds_of_anything_is_recognised(code: str, holds: bool) -> None:
+    assert holds_of_anything(ast.parse(code, mode="eval").body) is holds
+
+
+def test_no_assertion_holds_of_anything() -> None:
+    found = [
+        f"{path.relative_to(ROOT)}:{node.lineno}"
+        for path in programs("tests")
+        for node in ast.walk(tree(path))
+        if isinstance(node, ast.Assert) and holds_of_anything(node.test)
+    ]
+    assert found == []

@@ -198,7 +198,7 @@ async def test_that_it_was_broken_off_is_reported_for_programs(rig: Rig) -> None
     await upload(rig, page)
     await act(rig, page, START)
     await rig.until(lambda: is_flying(rig))
-    assert all(event.topic is EventTopic.NONE for event in rig.front.events)
+    assert {event.topic for event in rig.front.events} == {EventTopic.NONE}
     rig.aircraft.battery_percent = 15.0
 
     def broken() -> list[str]:

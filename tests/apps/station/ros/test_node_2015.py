@@ -276,6 +276,7 @@ async def test_another_client_cannot_steer_open_or_stop(rig: Rig) -> None:
     assert rig.moves == []
     assert rig.agent.holding.task is None
     assert rig.agent.holding.has_authority
+    assert other.statuses()
     assert all("first has control" in text for text in other.statuses())
     other.leave()
     await anyio.sleep(0.5)
