@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import enum
 import math
 from dataclasses import replace
 from typing import Any
@@ -286,17 +287,44 @@ def test_no_two_modes_have_one_number() -> None:
     assert MODES[Mode.RTL].number == 4 << 16 | 5 << 24
 
 
+PREFIXES: dict[type[enum.IntEnum] | type[enum.IntFlag], str] = {
+    numbers.MavResult: "MAV_RESULT_{}",
+    numbers.Severity: "MAV_SEVERITY_{}",
+    numbers.SystemStatus: "MAV_STATE_{}",
+    numbers.BaseMode: "MAV_MODE_FLAG_{}",
+    numbers.LandedState: "MAV_LANDED_STATE_{}",
+    numbers.Sensor: "MAV_SYS_STATUS_{}",
+    numbers.Estimator: "ESTIMATOR_{}",
+    numbers.Capability: "MAV_PROTOCOL_CAPABILITY_{}",
+    numbers.MavFrame: "MAV_FRAME_{}",
+    numbers.MissionType: "MAV_MISSION_TYPE_{}",
+    numbers.MissionResult: "MAV_MISSION_{}",
+    numbers.MavCommand: "MAV_CMD_{}",
+}
+SHORTER = {
+    "BaseMode.CUSTOM": "CUSTOM_MODE_ENABLED",
+    "BaseMode.AUTO": "AUTO_ENABLED",
+    "BaseMode.GUIDED": "GUIDED_ENABLED",
+    "BaseMode.MANUAL": "MANUAL_INPUT_ENABLED",
+    "BaseMode.ARMED": "SAFETY_ARMED",
+    "Sensor.GYRO": "SENSOR_3D_GYRO",
+    "Sensor.ACCELEROMETER": "SENSOR_3D_ACCEL",
+    "Sensor.MAGNETOMETER": "SENSOR_3D_MAG",
+    "Sensor.GPS": "SENSOR_GPS",
+    "Sensor.RC": "SENSOR_RC_RECEIVER",
+    "Sensor.PREARM": "PREARM_CHECK",
+}
+"""Members whose name is not the rest of theirs."""
+
+
 def test_numbers_are_those_of_the_definitions() -> None:
     common: Any = pytest.importorskip("pymavlink.dialects.v20.all")
-    for prefix, kind in (
-        ("MAV_RESULT_", numbers.MavResult),
-        ("MAV_SEVERITY_", numbers.Severity),
-        ("MAV_CMD_", numbers.MavCommand),
-        ("MAV_STATE_", numbers.SystemStatus),
-        ("MAV_LANDED_STATE_", numbers.LandedState),
-        ("MAV_PROTOCOL_CAPABILITY_", numbers.Capability),
-        ("MAV_MISSION_TYPE_", numbers.MissionType),
-        ("MAV_FRAME_", numbers.MavFrame),
-    ):
-        for one in kind:
-            assert getattr(common, prefix + str(one.name)) == one.value, one
+    own = {
+        one for one in vars(numbers).values() if getattr(one, "__module__", "") == numbers.__name__
+    }
+    assert own == set(PREFIXES)
+    for kind, prefix in PREFIXES.items():
+        # A flag of two bits is not iterated over.
+        for name, one in kind.__members__.items():
+            theirs = SHORTER.get(f"{kind.__name__}.{name}", name)
+            assert getattr(common, prefix.format(theirs)) == one.value, one
