@@ -368,6 +368,11 @@ class MissionFlight(ABC):
         """Whether it hovers by order of the program."""
         return self._run.state is RunState.PAUSED
 
+    @property
+    def is_unstopped(self) -> bool:
+        """Whether its stop was refused or not answered: it may be flying on."""
+        return self._run.state is RunState.UNSTOPPED
+
     async def pause(self) -> None:
         """Hover in place until :meth:`resume`; setpoints are ignored all the same.
 

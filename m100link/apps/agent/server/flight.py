@@ -109,7 +109,7 @@ class ActiveFlight:
         """Fly this setpoint until it is renewed or its lifetime ends. Ends a program."""
         # Letting go of a stick is not steering: a neutral setpoint leaves a program alone.
         is_flown = self._pattern is not None or self.guiding.order is not None
-        if is_flown or self.mission.watch is not None:
+        if is_flown or self.mission.watch is not None or self.mission.stopping is not None:
             if setpoint == setpoint.neutral():
                 return
             self.mission.require_none("a setpoint")  # which the aircraft would ignore
@@ -298,7 +298,7 @@ class ActiveFlight:
         if is_lost:
             broken_off = self.mission.cut_off()
         else:
-            self.mission.end("control ended")
+            self.mission.control_ended()
         self._end_program("control was lost" if is_lost else "control ended", hovers=not is_lost)
         if self._running_task is not None:
             self._running_task.cancel()
@@ -306,7 +306,7 @@ class ActiveFlight:
                 await asyncio.wait([self._running_task])
         with anyio.CancelScope(shield=True):
             await self.guiding.ended()
-            await self.mission.ended()
+            await self.mission.let_alone()
         return broken_off
 
 

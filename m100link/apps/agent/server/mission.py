@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from typing import TypeVar
 
@@ -36,6 +37,8 @@ _NAMES: dict[object, str] = {
     HotpointFlight: "hotpoint",
 }
 
+_STOP_AGAIN_S = 0.5  # between a stop that got no answer and the next one
+
 MissionListener = Callable[[MissionEvent], None]
 """Called with each event, progress excepted."""
 
@@ -50,17 +53,20 @@ class ActiveMission:
         self._flight: MissionFlight | None = None
         # Flies it, from its beginning to its end; None where none was begun, or it is over.
         self.watch: asyncio.Task[None] | None = None
+        # Asks again for a stop that got no answer.
+        self.stopping: asyncio.Task[None] | None = None
         self._what = ""  # the name of the newest one, for people
         self._is_cut_off = False  # by a caller that knows why, and reports it
         self._ended_because = ""  # why this agent ended it, for those who wait for its end
         self._ends_by_landing = False  # as the plan says
         self._is_landing = False
+        self._is_left = False  # control ends, and its stop path stops what flies
         self.on_event: MissionListener | None = None
 
     @property
     def is_flying(self) -> bool:
-        """Whether one was begun and is not over."""
-        return self.watch is not None
+        """Whether one was begun and is not over; one that did not answer its stop may fly on."""
+        return self.watch is not None or self.stopping is not None
 
     @property
     def is_landing(self) -> bool:
@@ -154,20 +160,47 @@ class ActiveMission:
             if not begun.done():
                 begun.set_exception(error)
         except asyncio.CancelledError:
-            outcome, level = f"the {what} was stopped", "warning"
+            left = "is left: the aircraft lands, as planned" if self._is_landing else "was stopped"
+            outcome, level = f"the {what} {left}", "warning"
             raise
         finally:
             if not begun.done():
                 begun.set_exception(UsageError("control ended before the mission began"))
                 begun.exception()  # nobody may be there to hear it
-            self._flight = self.watch = None
+            self.watch = None
+            why = self._ended_because or "control ended"
+            stopped = f"the {what} was stopped: {why}"
+            if flight.is_unstopped:
+                stopped = f"the {what} may be flying on, its stop was not answered: {why}"
+                outcome, level = f"the stop of the {what} was not answered", "error"
             if is_flown:
                 over.set_result(None)
             else:
-                why = self._ended_because or "control ended"
-                over.set_exception(failure or NotObserved(f"the {what} was stopped: {why}"))
+                over.set_exception(failure or NotObserved(stopped))
+            if not self._is_owed_a_stop:
+                self._flight = None
+            else:
+                self.stopping = self._background.spawn(self._stop_again(what), "stop")
             if not self._is_cut_off:
                 self._journal.note(outcome, level, topic)
+
+    @property
+    def _is_owed_a_stop(self) -> bool:
+        """Whether nobody wants it, the aircraft may fly it on, and no stop path sees to that."""
+        flight, is_ours = self._flight, self._control.is_flying and not self._is_left
+        return flight is not None and flight.is_unstopped and is_ours
+
+    async def _stop_again(self, what: str) -> None:
+        # A line that was bad for a second left the aircraft to fly to the end of its plan.
+        try:
+            while self._is_owed_a_stop and self._flight is not None:
+                await asyncio.sleep(_STOP_AGAIN_S)
+                with suppress(M100Error):
+                    await self._flight.stop()
+            if not self._is_left:
+                self._journal.note(f"the {what} was stopped", "warning")
+        finally:
+            self._flight = self.stopping = None
 
     def _tell(self, event: MissionEvent) -> None:
         if isinstance(event, Reached):
@@ -192,7 +225,8 @@ class ActiveMission:
         if self.watch is not None:
             self._ended_because = why
             self.watch.cancel()
-            self._journal.note(f"the mission is stopped: {why}")
+            if not self._is_landing:  # which leaving its block lets it do
+                self._journal.note(f"the mission is stopped: {why}")
 
     async def stop(self) -> None:
         """Stop it, also while it begins; done when something else may fly.
@@ -211,6 +245,12 @@ class ActiveMission:
                 await self.ended()
                 raise
         await self.ended()
+        if self.stopping is not None:
+            raise NotObserved(
+                f"the {self._what} did not answer its stop: it may be flying on",
+                cause="the line is broken in one direction or in both",
+                remedy="the stop goes out again; the pilot ends the mission by leaving F",
+            )
 
     async def let_go(self) -> None:
         """As :meth:`stop`; a refusal is noted."""
@@ -222,17 +262,31 @@ class ActiveMission:
     def cut_off(self) -> str:
         """Control was lost, and the mission with it; returns its name, empty for none."""
         # The reason of the loss comes a moment later, from the aircraft: the caller reports it.
-        if self.watch is None or self._flight is None:  # it has not begun: its start fails
+        work = self.watch or self.stopping
+        if work is None or self._flight is None:  # it has not begun: its start fails
             self.end("control ended")
             return ""
         self._is_cut_off = True
-        self.watch.cancel()
+        work.cancel()
         return self._what
 
+    def control_ended(self) -> None:
+        """As :meth:`end`: the stop path goes on with a stop that got no answer."""
+        self._is_left = True
+        self.end("control ended")
+        if self.stopping is not None:
+            self.stopping.cancel()
+
     async def ended(self) -> None:
-        """Wait for the end of its stop."""
+        """Wait for its end, or until its stop got no answer."""
         if self.watch is not None:
             await asyncio.wait([self.watch])
+
+    async def let_alone(self) -> None:
+        """Wait until nothing is sent for it any more; control has ended."""
+        await self.ended()
+        if self.stopping is not None:
+            await asyncio.wait([self.stopping])
 
 
 def look_at(future: asyncio.Future[None]) -> None:
