@@ -25,12 +25,12 @@ from m100link.apps.agent.server.authority import (
     AuthorityManager,
     HoldingInput,
     HoldingState,
-    OrphanedAuthority,
+    Owed,
 )
 from m100link.apps.agent.server.connection import AircraftConnection, Connect
 from m100link.apps.agent.server.flight import ActiveFlight, pattern
 from m100link.apps.agent.server.replays import Replays, refused
-from m100link.errors import AuthorityLost, GuardRefused, UsageError
+from m100link.errors import AuthorityLost, GuardRefused, M100Error, UsageError
 from m100link.flight.guards import Envelope, Guards
 from m100link.flight.missions.hotpoint import HotpointFlight
 from m100link.flight.missions.waypoint import WaypointFlight
@@ -103,9 +103,8 @@ class Agent:
         #: Control authority, and the flights under it.
         self.holding = AuthorityManager(self.journal, self.background, guards)
         self.holding.on_change.append(self._holding_changed)
-        self._inherited = OrphanedAuthority(
-            self.journal, self.background, is_owed=leases_before > 0
-        )
+        if leases_before > 0:
+            self.holding.orphaned.owed = Owed.AT_ONCE
         self._keep_authority = keep_authority
         # Ends a time in which authority is held for nobody.
         self._unclaimed: asyncio.TimerHandle | None = None
@@ -142,10 +141,12 @@ class Agent:
             return
         version = self.connection.version
         if aircraft is None or version is None:
+            self.holding.orphaned.connected(None, is_activated=False)
             return
         if version.is_activated:
             self.activation.adopt(aircraft)
-        self._inherited.connected(aircraft, is_activated=version.is_activated)
+        self.holding.orphaned.connected(aircraft, is_activated=version.is_activated)
+        self._look_after_authority()
 
     # -- the lease -------------------------------------------------------------------------------
 
@@ -153,8 +154,13 @@ class Agent:
         while True:
             await asyncio.sleep(_LEASE_CHECK)
             with goes_on("the watch of the lease"):
-                if self.leases.holder(self.now) is None and self._unclaimed is None:
-                    self.holding.let_go()  # again, in case the end of the lease failed half-way
+                self._look_after_authority()
+
+    def _look_after_authority(self) -> None:
+        has_holder = self.leases.holder(self.now) is not None
+        if not has_holder and self._unclaimed is None:
+            self.holding.let_go()  # again, in case the end of the lease failed half-way
+        self.holding.look(has_holder=has_holder)
 
     def _lease_changed(self, why: LeaseChange, old: Lease | None, new: Lease | None) -> None:
         flown = self.holding.flown
@@ -264,7 +270,6 @@ class Agent:
         """
         aircraft = self.connection.require_aircraft()
         self._begin_anew = ""  # a STOP from now on came after this was asked for
-        await self._inherited.settle()
         await self.holding.settle()
         self.leases.check(token, self.now)  # it may have ended while authority went back
         await self.holding.obtain(aircraft)
@@ -338,7 +343,12 @@ class Agent:
         (:meth:`hover` under it) or asks for control once more (:meth:`obtain`), or somebody else
         gets the lease.
 
-        No command ends a task: giving control authority back is all that this side can do.
+        No command ends a task: giving control authority back is all that this side can do. It
+        ends a mission, too, that does not answer its stop.
+
+        Raises:
+            NotObserved: The aircraft may fly on by itself: it does not confirm that it has control
+                authority back.
         """
         self._begin_anew = "STOP was pressed"
         try:
@@ -356,12 +366,28 @@ class Agent:
                 # As long as it counts as flown by plan, authority would not be given back.
                 await landing.let_go()
                 self.hover("stop")
+            if flying is not None and not await self._is_rid_of_missions(flying):
+                is_in_task = True
         except BaseException:
             self.holding.let_go()  # nobody knows what flies: the end of the control block ends it
             raise
         if is_in_task or self._unclaimed is not None:
             await self.give_back()
-            self.journal.note("control authority was given back to end the task", "warning")
+            if self.holding.orphaned.owed is Owed.NOTHING:
+                self.journal.note("control authority was given back to end the task", "warning")
+        await self.holding.insist()
+
+    async def _is_rid_of_missions(self, flying: ActiveFlight) -> bool:
+        """Wait for the stop of any mission; False: the aircraft may fly it on."""
+        await flying.mission.ended()
+        aircraft = self.connection.aircraft
+        if not flying.mission.is_flying and aircraft is not None and aircraft.mission.is_running:
+            try:
+                await flying.order_mission("stop")  # somebody else's
+            except M100Error as error:
+                self.journal.note(error.seen, "error")
+                return False
+        return not flying.mission.is_flying
 
 
 # -- a handler for each order ----------------------------------------------------------------------

@@ -12,8 +12,9 @@ is not in the table changes nothing.
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Callable
-from enum import Enum
+from enum import Enum, IntEnum
 
 from m100link.aircraft import Aircraft
 from m100link.aircraft.activation import ActivationProgress
@@ -29,6 +30,7 @@ from m100link.errors import (
     LossReason,
     M100Error,
     NoAuthority,
+    NotObserved,
     TelemetryStalled,
     UsageError,
 )
@@ -120,6 +122,15 @@ _LOSSES = {
     LossReason.LINK: _I.LINK_LOST,
 }
 
+_LEFT = {
+    AuthorityState.UNRELEASED: ("control authority may not be released: no answer", "warning"),
+    AuthorityState.HELD: (
+        "control authority is kept: what the aircraft flies by itself would end without it",
+        "warning",
+    ),
+}
+"""Notes on a control block that ended and did not give authority back."""
+
 _UNSEEN = (LinkError, TelemetryStalled)
 """Errors that end control without a sight of the aircraft."""
 
@@ -142,6 +153,7 @@ class AuthorityManager:
         self._let_go = asyncio.Event()
         # Resolved when the request under way has ended.
         self._granted: asyncio.Future[None] | None = None
+        self.orphaned = OrphanedAuthority(journal, background)  # what no block here holds
         self.on_mission_event: MissionListener | None = None
         # The mission that a loss of control broke off, until the reason is known and reported.
         self._broken_off = ""
@@ -216,12 +228,25 @@ class AuthorityManager:
         self.feed(HoldingInput.LET_GO)
 
     async def settle(self) -> None:
-        """Wait until no control block is ending."""
-        while self._block is not None and (
-            self.state is HoldingState.RELEASING
-            or (self.state is HoldingState.HELD and not self.has_authority)
-        ):
-            await asyncio.wait([self._block])
+        """Wait until no control block is ending, and nothing that one left goes back."""
+        while (ending := self._ending or self.orphaned.work) is not None:
+            await asyncio.wait([ending])
+
+    @property
+    def _ending(self) -> asyncio.Task[None] | None:
+        is_lost = self.state is HoldingState.HELD and not self.has_authority
+        return self._block if is_lost or self.state is HoldingState.RELEASING else None
+
+    async def insist(self) -> None:
+        """Authority that nobody holds goes back now. Raises as :meth:`OrphanedAuthority.insist`."""
+        await self.settle()  # a block that ends now may leave it behind
+        if self._block is None:
+            await self.orphaned.insist()
+
+    def look(self, *, has_holder: bool) -> None:
+        """Time passes: authority that nobody holds goes back."""
+        if self.state is HoldingState.NONE and self._block is None:
+            self.orphaned.look(Owed.AT_ONCE if has_holder else Owed.AFTER_LEASE)
 
     # -- the control block -----------------------------------------------------------------------
 
@@ -236,10 +261,10 @@ class AuthorityManager:
             async with aircraft.control(guards=self._guards) as control:
                 await self._use(control, granted)
             self.feed(HoldingInput.ENDED)
-            if aircraft.authority.state is AuthorityState.UNRELEASED:
-                self._journal.note("control authority may not be released: no answer", "warning")
-            else:
-                self._journal.note("control authority released")
+            text, level = _LEFT.get(
+                aircraft.authority.state, ("control authority released", "info")
+            )
+            self._journal.note(text, level)
         except AuthorityLost as error:
             self._lost(aircraft, error, granted)
         except M100Error as error:
@@ -254,6 +279,7 @@ class AuthorityManager:
             self._wait_for_pilot(aircraft)
         finally:
             self._block = None
+            self.orphaned.block_ended(aircraft)
             self.feed(HoldingInput.ENDED)  # nothing holds it now, whatever ended the block
             self._tell_mission("the agent ends")
             granted.cancel()
@@ -326,51 +352,105 @@ class AuthorityManager:
         self.feed(HoldingInput.LINK_LOST)
 
 
-# -- control authority that an agent before may have left: nobody here asked for it, so it goes ----
-# An agent that is killed in flight gives nothing back. The aircraft hovers for want of setpoints
-# and goes on obeying a program that is not there, or flies the task or mission that it was asked
-# for, and every lease has gone with the agent. So authority goes back as after a lost lease, only
-# later.
+# -- control authority that nobody holds and the aircraft may still obey: it goes back -------------
+# An agent that is killed in flight gives nothing back, and neither does a control block whose line
+# is lost, or whose release gets no answer. The aircraft hovers for want of setpoints and goes on
+# obeying a program that is not there, or flies the task or mission that it was asked for.
+
+
+_PAUSE_S = 1.0  # after a release that the aircraft did not confirm
+
+
+def _now() -> float:
+    return asyncio.get_running_loop().time()
+
+
+class Owed(IntEnum):
+    """Whether a release is owed, and from when on."""
+
+    NOTHING = 0
+    AFTER_STOP = 1  # authority was kept on purpose, such as for a landing by plan
+    AFTER_LEASE = 2  # the line was lost: as long as somebody has the lease, the flight is theirs
+    AT_ONCE = 3
 
 
 class OrphanedAuthority:
-    """Gives back, once, authority that an earlier agent may have held, if any (``is_owed``)."""
+    """Gives authority back that nobody holds, again and again until the aircraft confirms it."""
 
-    def __init__(self, journal: Journal, background: TaskSet, *, is_owed: bool) -> None:
+    def __init__(self, journal: Journal, background: TaskSet) -> None:
         self._journal = journal
         self._background = background
-        self._is_owed = is_owed
-        self._work: asyncio.Task[None] | None = None
+        self.owed = Owed.NOTHING
+        self._whose = "the agent before"  # may have left it, for people
+        self._is_reported = False  # that the aircraft does not confirm it
+        self._aircraft: Aircraft | None = None  # None while it is not connected
+        self.work: asyncio.Task[None] | None = None  # while a release is under way
+        self._again_at = -math.inf
 
-    def connected(self, aircraft: Aircraft, *, is_activated: bool) -> None:
-        """The aircraft answers; one that is not activated obeys nobody."""
-        if self._is_owed and is_activated and self._work is None:
-            self._work = self._background.spawn(self._give_back(aircraft), "inherited authority")
+    def connected(self, aircraft: Aircraft | None, *, is_activated: bool) -> None:
+        """The aircraft answers, or is gone."""
+        self._aircraft = aircraft
+        if aircraft is not None and not is_activated:
+            self.owed = Owed.NOTHING  # it obeys nobody
 
-    async def settle(self) -> None:
-        """Wait until nothing goes back any more: a request would overtake it, and be undone."""
-        # The client that asks now holds it in its own name, and nothing is owed.
-        self._is_owed = False
-        if self._work is not None:
-            await asyncio.wait([self._work])
+    def block_ended(self, aircraft: Aircraft) -> None:
+        """A control block has ended."""
+        authority = aircraft.authority
+        self._whose, self._is_reported = "this agent", False
+        if authority.reason is LossReason.LINK:
+            self.owed = Owed.AFTER_LEASE
+        else:
+            left = {AuthorityState.UNRELEASED: Owed.AT_ONCE, AuthorityState.HELD: Owed.AFTER_STOP}
+            self.owed = left.get(authority.state, Owed.NOTHING)
+
+    def look(self, least: Owed) -> None:
+        """Ask for it to go back, where at least that much is owed."""
+        is_due = self.owed >= least and _now() >= self._again_at
+        if is_due and self._aircraft is not None and self.work is None:
+            work = self._give_back(self._aircraft)
+            self.work = self._background.spawn(work, "inherited authority")
+
+    async def _settle(self) -> None:
+        if self.work is not None:
+            await asyncio.wait([self.work])
+
+    async def insist(self) -> None:
+        """It goes back now, also while a client has the lease.
+
+        Raises:
+            NotObserved: The aircraft does not confirm it; the release goes out again.
+        """
+        if self.owed is Owed.NOTHING:
+            return
+        self.owed, self._again_at = Owed.AT_ONCE, -math.inf
+        await self._settle()
+        self.look(Owed.AT_ONCE)
+        await self._settle()
+        if self.owed is not Owed.NOTHING:
+            raise NotObserved(
+                "the aircraft does not confirm that it has control authority back",
+                cause="the line is lost, or broken in one direction",
+                remedy="it may fly on by itself: the pilot gets it by leaving F",
+            )
 
     async def _give_back(self, aircraft: Aircraft) -> None:
         try:
             if await aircraft.release_authority():
-                self._is_owed = False
+                self.owed = Owed.NOTHING
                 self._journal.note(
-                    "control authority that the agent before may have left is given back: "
+                    f"control authority that {self._whose} may have left is given back: "
                     "the aircraft hovers, the pilot flies",
                     "warning",
                 )
-            else:
+            elif not self._is_reported:
+                self._is_reported = True
                 self._journal.note(
-                    "the agent before may have left control authority, and the aircraft does not "
+                    f"{self._whose} may have left control authority, and the aircraft does not "
                     "say that it has it back: the pilot gets it by leaving F",
                     "error",
                 )
         finally:
-            self._work = None  # the next connection tries it again, if it is still owed
+            self.work, self._again_at = None, _now() + _PAUSE_S
 
 
 # -- the activation of the aircraft for one app, and how the last one went -------------------------

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
@@ -15,11 +16,12 @@ from m100link.aircraft import Aircraft
 from m100link.apps.agent import orders
 from m100link.apps.agent.background import TaskSet
 from m100link.apps.agent.connect import by_driver
+from m100link.apps.agent.lease import LeaseRefused
 from m100link.apps.agent.messages import Journal
 from m100link.apps.agent.server.agent import Agent
 from m100link.apps.agent.server.authority import AuthorityManager, HoldingInput, HoldingState
 from m100link.apps.agent.server.connection import ConnectionState
-from m100link.errors import AuthorityRefused, LinkError, NoAuthority
+from m100link.errors import AuthorityRefused, LinkError, NoAuthority, NotObserved
 from m100link.protocol.setpoint import Setpoint
 from m100link.sim.line import NO_FAULTS, LineFaults
 from tests.apps.agent.conftest import Rig, airborne
@@ -323,3 +325,43 @@ async def test_an_aircraft_that_does_not_answer_is_asked_again_when_it_is_back(r
         rig.aircraft.replug()
         await rig.until(lambda: not rig.aircraft.vehicle.authority.is_requested)
         await rig.until(lambda: "is given back" in told(agent)[-1])
+
+
+async def test_a_request_that_is_refused_does_not_forget_what_goes_back(rig: Rig) -> None:
+    """It waits for the release; its lease has ended by then, and nobody else asks."""
+    await killed_in_flight(rig)
+    agent = Agent(
+        by_driver(rig.driver), credentials=rig.aircraft.credentials, leases_before=1_000_000
+    )
+    asked: list[asyncio.Task[Any]] = []
+
+    def ask(aircraft: Aircraft | None) -> None:
+        if aircraft is not None and not asked:
+            rig.aircraft.set_faults(NO_FAULTS, to_aircraft=LineFaults(loss=1.0))
+            token = agent.leases.acquire("the next", agent.now).token
+            asked.append(asyncio.create_task(agent.ask(orders.Obtain(), token)))
+            agent.leases.release(token, agent.now)
+
+    agent.connection.on_aircraft.append(ask)
+    async with agent:
+        await rig.until(lambda: bool(asked) and asked[0].done(), within=10.0)
+        assert isinstance(asked[0].exception(), LeaseRefused)
+        assert rig.aircraft.vehicle.authority.is_requested
+        rig.aircraft.set_faults()
+        await rig.until(lambda: not rig.aircraft.vehicle.authority.is_requested, within=5.0)
+
+
+async def test_a_release_that_was_not_heard_goes_out_again(rig: Rig) -> None:
+    await airborne(rig)
+    rig.aircraft.set_faults(NO_FAULTS, to_aircraft=LineFaults(loss=1.0))
+    await rig.agent.ask(orders.Release(), rig.token)
+    await anyio.sleep(4.0)
+    assert rig.aircraft.vehicle.authority.is_requested
+    with pytest.raises(NotObserved, match="does not confirm"):
+        await rig.agent.ask(orders.Stop())
+    rig.aircraft.set_faults()
+    await rig.until(lambda: not rig.aircraft.vehicle.authority.is_requested, within=4.0)
+    await rig.agent.ask(orders.Stop())
+    await rig.agent.ask(orders.Obtain(), rig.token)
+    await anyio.sleep(3.0)
+    assert rig.holding.has_authority, "nothing is owed any more"
