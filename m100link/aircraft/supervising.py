@@ -430,7 +430,7 @@ class Supervised:
                 raise error or LinkLost("the line went away")
             except TimeoutError:
                 pass
-            last = aircraft.link.last_received_at or heard_at
+            last = _latest(aircraft, heard_at)
             is_heard = clock() - last < CHECK_INTERVAL
             if is_heard and passed_over < _MOST_PASSED_OVER and not await _gap(aircraft):
                 heard_at, passed_over = last, passed_over + 1
@@ -441,7 +441,7 @@ class Supervised:
                 version = await aircraft._requests.query_version(timeout=_ANSWER_S, tries=1)
             except AckTimeout as error:
                 self.round_trip = None
-                heard_at = max(heard_at, aircraft.link.last_received_at or heard_at)
+                heard_at = _latest(aircraft, heard_at)
                 if clock() - heard_at > SILENCE:
                     raise LinkLost(
                         f"the aircraft is silent for {clock() - heard_at:.0f} s",
@@ -462,6 +462,11 @@ class Supervised:
         await self._activate(aircraft)
         self.aircraft = aircraft
         self._feed(_I.ACTIVATED)
+
+
+def _latest(aircraft: Aircraft, heard_at: float) -> float:
+    at = aircraft.link.last_received_at
+    return heard_at if at is None else max(heard_at, at)
 
 
 async def _gap(aircraft: Aircraft) -> bool:

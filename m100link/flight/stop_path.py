@@ -189,9 +189,8 @@ class StopPath:
         deadline = self._clock() + _LANDING_DEADLINE_S
         while self._life.plan.land and self._has_authority and not await self._stands():
             try:
-                await run_task(
-                    self._commander, Task.LAND, timeout=max(1.0, deadline - self._clock())
-                )
+                # However late it is accepted: once it is, it has all the time of a landing.
+                await run_task(self._commander, Task.LAND)
             except (TaskRefused, AckTimeout, BadAck) as error:
                 # Unanswered, it may be flown, and the release would break it off.
                 if self._clock() < deadline:

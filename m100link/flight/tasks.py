@@ -126,7 +126,8 @@ def run_task(
     progress: TaskListener | None = None,
 ) -> Coroutine[Any, Any, None]:
     """Begin a task and wait until it is done; it raises as :meth:`Control.take_off`."""
-    return _Watch(commander, task, progress).run(timeout or TIMEOUTS_S[task])
+    within = TIMEOUTS_S[task] if timeout is None else timeout
+    return _Watch(commander, task, progress).run(within)
 
 
 async def _begin(commander: Commander, task: Task) -> int:

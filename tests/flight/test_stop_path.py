@@ -480,6 +480,22 @@ async def test_stop_land_lands_although_no_order_is_answered_for_a_while(
         assert flown.is_running is is_unheard
 
 
+async def test_a_landing_that_is_accepted_late_in_its_minute_has_all_its_time() -> None:
+    """The release would break it off in the air."""
+    async with rig() as flown:
+        async with flown.aircraft.control(
+            stop="land", guards=Guards(stale_telemetry_s=None)
+        ) as control:
+            await control.take_off()
+            await control.climb_to(14.0)
+            flown.virtual.set_faults(LineFaults(), to_aircraft=LineFaults(loss=1.0))
+            asyncio.get_running_loop().call_later(57.0, flown.virtual.set_faults)
+            start = flown.now
+        assert flown.now - start > 60.0
+        assert flown.virtual.height < 0.1
+        assert not flown.is_running
+
+
 async def test_a_landing_that_began_and_was_broken_off_is_not_ordered_again() -> None:
     """The aircraft says so when the pilot's sticks end it."""
     async with rig() as flown:
