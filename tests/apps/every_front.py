@@ -311,6 +311,25 @@ class BesideAnAgent(Front):
         """STOP at a page, which needs no control."""
         self.other_page.say("stop")
 
+    async def hover_elsewhere(self) -> None:
+        """The button *Hover* of a page that has no control."""
+        tab = self.other_page.tab
+        tab.agent.hover("hover", tab.session.lease)
+
+    def step(self) -> None:
+        """The next step of the user's program: go home."""
+        raise NotImplementedError
+
+    async def step_unheard(self) -> None:
+        """A program's next step, after a STOP between two that its front did not hear, either."""
+        self.let_go()
+        await self.passes(2.0)
+        with patch.object(self.near(), "on_event", []):
+            await self.agent.stop()
+            await self.passes(0.5)
+            self.step()
+            await self.passes(0.5)
+
     async def holder(self) -> str:
         """By whom control is held, in words for people; empty for nobody."""
         found: str = (await self._lease(action="status"))["holder"]
@@ -478,6 +497,9 @@ class Rosbridge(Station):
     async def land(self) -> None:
         self.client.call("/dji_sdk/drone_task_control", task=6)
 
+    def step(self) -> None:
+        self.client.call("/dji_sdk/drone_task_control", task=1)
+
     def send_late(self) -> None:
         self._joy(age=1.0)
 
@@ -498,6 +520,8 @@ class Rosbridge(Station):
             message = one.get("msg")
             if one["op"] == "status":
                 said.append(str(message))
+            elif one["op"] == "service_response" and not one["result"]:
+                said.append(str(one["values"]))
             elif one.get("topic") == "/rosout":
                 said.append(str(message["msg"]))
             elif one.get("topic") in ("/nav_open_close_status", "/flight_status"):
@@ -577,6 +601,9 @@ class Mavlink(AloneWithAgent):
     async def land(self) -> None:
         self.spawn(self._in_mode("LAND"))
 
+    def step(self) -> None:
+        self.spawn(self._in_mode("RTL"))
+
     def send_late(self) -> None:
         self.send()
 
@@ -627,6 +654,9 @@ class Ros2(AloneWithAgent):
 
     async def land(self) -> None:
         self.spawn(self._call("~/land"))
+
+    def step(self) -> None:
+        self.spawn(self._call("~/go_home"))
 
     def send_late(self) -> None:
         self.rig.program.late = 1.0
@@ -759,6 +789,9 @@ class FleetPilot(OfAFleet):
 
     async def land(self) -> None:
         self.spawn(self.control.land())
+
+    def step(self) -> None:
+        self.spawn(self.control.go_home())
 
     def send_late(self) -> None:
         """It waits on its way for a second."""

@@ -63,6 +63,8 @@ class Event(Enum):
     STALE = "setpoints come a second late"
     HOLD_UP = "setpoints come late to the agent"
     STOP_UNHEARD = "STOP between two steps of a request for control; its front hears of none"
+    STEP_UNHEARD = "STOP between two steps of the user's program, which hears of none"
+    HOVER_ELSEWHERE = "somebody without the lease orders a hover"
     JUNK = "bytes that mean nothing"
 
 
@@ -248,6 +250,25 @@ TABLE: dict[Event, dict[type[Front], End | Cannot]] = {
         Performer: Cannot("a show takes no aircraft back that left it"),
         Sync: Cannot("without an agent nobody else can press STOP"),
     },
+    Event.STEP_UNHEARD: {
+        **dict.fromkeys(FRONTS, Cannot("a person sees the STOP: each press begins anew")),
+        Rosbridge: End(H, 0.0, FRONT, "STOP was pressed; go home that is asked", "control"),
+        Mavlink: End(H, 0.0, FRONT, "Return: STOP was pressed; go home that is asked", "control"),
+        Ros2: End(H, 0.0, FRONT, "~/go_home: False STOP was pressed; go home", "control"),
+        FleetPilot: End(H, 0.0, FRONT, "GuardRefused: STOP was pressed; go home", "control"),
+        Performer: Cannot("its orders are steps of one request: see STOP_UNHEARD"),
+        Sync: Cannot("without an agent nobody else can press STOP"),
+    },
+    Event.HOVER_ELSEWHERE: {
+        Console: End(H, BRAKES, FRONT, f"a hover was ordered, and {PAD_HELD}", "let go"),
+        Rosbridge: End(H, BRAKES, FRONT, "a hover was ordered", "control"),
+        Mavlink: End(H, BRAKES, FRONT, "is in HOLD", "control"),
+        Ros2: End(H, BRAKES, FRONT, r"it was stopped: call ~/obtain_control", "control"),
+        FleetPilot: End(H, BRAKES, FRONT, "a hover was ordered; setpoints that go on", "control"),
+        FarConsole: End(H, BRAKES, FRONT, f"a hover was ordered, and {PAD_HELD}", "let go"),
+        Performer: End(H, BRAKES, NOBODY, "a1 left"),
+        Sync: Cannot("without an agent nobody else can order a hover"),
+    },
     Event.JUNK: dict.fromkeys(FRONTS, End(G, 0.0, FRONT, UNTOLD)),
 }
 """By hand, from safety.md, the page of each front and agent.md."""
@@ -404,7 +425,7 @@ class Cells:
             heard = Counter(front.words().split("\n"))
             since = front.now()
             await let_it_happen(front, event)
-            if event in (Event.STALE, Event.HOLD_UP):
+            if event in (Event.STALE, Event.HOLD_UP, Event.STEP_UNHEARD):
                 since = front.now()
             await front.passes(end.within + LONGER_S.get(event, 2.0))
             # The sticks' time is not counted.
@@ -463,6 +484,12 @@ class Cells:
 
     async def test_stop_unheard(self) -> None:
         await self.judge(Event.STOP_UNHEARD)
+
+    async def test_step_unheard(self) -> None:
+        await self.judge(Event.STEP_UNHEARD)
+
+    async def test_hover_elsewhere(self) -> None:
+        await self.judge(Event.HOVER_ELSEWHERE)
 
     async def test_junk(self) -> None:
         await self.judge(Event.JUNK)

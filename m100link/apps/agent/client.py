@@ -10,6 +10,7 @@ import asyncio
 import math
 from collections import deque
 from collections.abc import Callable
+from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from functools import partial
@@ -79,6 +80,9 @@ TOGETHER_S = 0.3
 MOMENT_S = 0.005
 
 _NOT_ASKED: Any = object()
+
+PRESSED_AT: ContextVar[float] = ContextVar("pressed_at", default=math.inf)
+"""When a person pressed what the present task carries out, s by the clock of its event loop."""
 
 
 class Hearing(Enum):
@@ -459,15 +463,21 @@ class AgentClient:
         """Give an order, and wait for its outcome.
 
         ``accepted`` is called when the aircraft has begun, where it takes a while. ``asked_at``:
-        when it was wanted, s, if not now: a STOP since then overtakes it.
+        when it was wanted, s, if not :attr:`asked_at`: a STOP since then overtakes it.
 
         Raises:
             M100Error: The agent's error; see :meth:`m100link.apps.agent.server.agent.Agent.ask`.
             LinkError: It has gone.
         """
-        fence, asked_at = lease.number if lease is not None else 0, asked_at or self._clock()
+        fence = lease.number if lease is not None else 0
+        asked_at = self.asked_at if asked_at is None else asked_at
         orders.require_newer(order, asked_at, self.stopped_at)
         return await self._answers.question(order, fence, accepted, asked_at)
+
+    @property
+    def asked_at(self) -> float:
+        """When what is asked now was wanted, s: now, or at the press that this task carries out."""
+        return min(self._clock(), PRESSED_AT.get())
 
     # -- telemetry -------------------------------------------------------------------------------
 
@@ -525,10 +535,15 @@ class AgentClient:
         """Fly this for its lifetime; renews the lease. A refusal comes to ``on_steer_refused``."""
         self._channel.send(Steer(lease.number, self._clock(), lifetime, setpoint))
 
-    def hover(self, why: str = "", lease: Lease | None = None) -> None:
-        """Hover; anybody may. With the lease: it was let go, which begins anew after STOP."""
+    def hover(
+        self, why: str = "", lease: Lease | None = None, *, begins_anew: bool = False
+    ) -> None:
+        """Hover; anybody may. Without the lease, its holder has to begin anew.
+
+        ``begins_anew``: the holder let go of everything; what is asked after it flies, STOP or not.
+        """
         fence = lease.number if lease else 0
-        self._channel.send(Ask(0, orders.Halt(why), fence, self._clock()))
+        self._channel.send(Ask(0, orders.Halt(why, begins_anew), fence, self._clock()))
 
     def halt(self, why: str = "", lease: Lease | None = None) -> None:
         """Old name of :meth:`hover`."""
@@ -566,7 +581,7 @@ class PendingRequests:
         order: orders.Order,
         fence: int,
         accepted: Callable[[], None] | None,
-        asked_at: float = 0.0,
+        asked_at: float | None = None,
     ) -> OrderOutcome:
         """Ask for something, and wait for the answer.
 

@@ -24,12 +24,17 @@ from m100link.apps.agent.lease import Lease, LeaseHeld, LeaseRefused, TakeOver
 from m100link.apps.agent.messages import Event, EventTopic, LeaseChanged, OrderOutcome
 from m100link.apps.agent.orders import SETPOINT_LIFETIME
 from m100link.errors import (
+    AckTimeout,
     AuthorityLost,
+    BadAck,
     GuardRefused,
     LossReason,
     M100Error,
+    MissionRunning,
     NoAuthority,
+    OutcomeUnknown,
     StaleLease,
+    TaskRefused,
 )
 from m100link.protocol.setpoint import Setpoint
 
@@ -40,6 +45,11 @@ _DUE_S = 0.45  # a timer of 0.5 s that wakes a moment early is not to wait for a
 
 _TAKE_OVERS = 3
 """Attempts to take a lease over that changes hands meanwhile."""
+
+BROUGHT_DOWN_S = 60.0
+"""Seconds in which a landing that is refused or unanswered is asked for again."""
+
+_BROUGHT_DOWN_AGAIN = (AckTimeout, BadAck, MissionRunning, OutcomeUnknown, TaskRefused)
 
 Grant = Callable[[float], Coroutine[Any, Any, Lease]]
 """Asks the agent for a lease that was wanted at that time, s: a STOP since then overtakes it."""
@@ -54,6 +64,8 @@ class Terms:
     #: Whether the lease goes back when somebody takes authority. Otherwise it is kept, and the
     #: aircraft obeys again when the pilot comes back to F: setpoints after a pause of a second.
     gives_way: bool = False
+    #: Whether an order of the operator, who sees that STOP was pressed, begins anew after it.
+    begins_anew: bool = False
     idle_s: float = math.inf  #: seconds without use after which control is given back
     who: str = "this client"  #: the client without control, in the error
     remedy: str = "take control first"  #: how control is taken, in the error
@@ -272,7 +284,7 @@ class ControlSession:
 
         Yields when it was made: a STOP since then overtakes each of its steps.
         """
-        began, made_at = self._let_gos, at or self._agent.now
+        began, made_at = self._let_gos, self._agent.asked_at if at is None else at
         async with self._changing:
             if began != self._let_gos or not self._heard:
                 raise self._not_wanted()
@@ -500,8 +512,16 @@ class ControlSession:
         """
         if (lease := self.lease) is None and order.needs is orders.Needs.LEASE:
             raise self._no_control()
-        self._used_at = self._agent.now
-        outcome = await self._agent.ask(order, lease, accepted)
+        self._used_at, asked_at = self._agent.now, self._agent.asked_at
+        try:
+            is_anew = self._terms.begins_anew and order.after_stop is orders.AfterStop.ANEW
+            if is_anew and self._state is _S.STOPPED:
+                await self._agent.ask(orders.Obtain(), lease, asked_at=asked_at)
+                self.feed(_I.BEGUN_ANEW)
+            outcome = await self._agent.ask(order, lease, accepted, asked_at)
+        except GuardRefused as error:
+            self._met(error)
+            raise
         if isinstance(order, orders.UploadPlan):
             self.uploaded = order.digest
         return outcome
@@ -524,6 +544,29 @@ class ControlSession:
         self._used_at = self._renewed_at = view.at  # it renews the lease
         self._agent.steer(lease, setpoint, lifetime)
 
+    async def bring_down(
+        self, task: orders.Order, asked_at: float, accepted: Callable[[], None] | None = None
+    ) -> None:
+        """Land, here or at home, and stop a mission before it. Raises as :meth:`ask`.
+
+        Asked again for a minute while it is refused or unanswered: a task that was broken off takes
+        its time to end, and without an answer nobody knows. A STOP since ``asked_at`` ends it.
+        """
+        agent, lease = self._agent, self._lease
+        until = agent.now + BROUGHT_DOWN_S
+        while not agent.view.is_on_ground:
+            try:
+                await agent.ask(task, lease, accepted, asked_at)
+            except _BROUGHT_DOWN_AGAIN as error:
+                if agent.now >= until or self._lease is not lease:
+                    raise
+                if isinstance(error, MissionRunning):
+                    with suppress(M100Error):  # it may be over by now
+                        await agent.ask(orders.StopMission(), lease, asked_at=asked_at)
+                await asyncio.sleep(RENEWAL_S)
+            else:
+                return
+
     async def stop(self) -> None:
         """Stop all that flies, without a lease, too; :meth:`begin_anew` lets setpoints fly."""
         try:
@@ -539,7 +582,7 @@ class ControlSession:
         """
         is_anew = at >= self._agent.stopped_at
         if (lease := self.lease) is not None:
-            self._agent.hover(why, lease if is_anew else None)
+            self._agent.hover(why, lease, begins_anew=is_anew)
             if is_anew:
                 self.feed(_I.BEGUN_ANEW)
         return is_anew
@@ -585,6 +628,9 @@ class ControlSession:
         lease = self._lease
         if lease is None or lease.number != fence:
             return
+        self._met(error)
+        self.on_refused(error)
+
+    def _met(self, error: M100Error) -> None:
         if isinstance(error, GuardRefused) and error.guard == "stopped":
             self.feed(_I.STOP)
-        self.on_refused(error)

@@ -37,7 +37,7 @@ JOURNAL_LOG = __name__
 
 _logger = logging.getLogger(JOURNAL_LOG)
 
-VERSION = 13
+VERSION = 14
 """Of these messages. Both ends name theirs in :class:`Hello` and part when they differ."""
 
 LEVELS = ("info", "warning", "error")
@@ -247,7 +247,7 @@ class Ask:
     id: int  #: comes back in each outcome; 0 asks for none
     order: Order  #: the order
     fence: int = 0  #: number of the lease it is asked under; 0 for none
-    sent_at: float = 0.0  #: when it was asked, by the front's clock, s; 0 where nobody says
+    sent_at: float | None = None  #: when it was asked, by the front's clock, s; None: unknown
     hears_begin: bool = False  #: whether an outcome tells the begin, too
 
 

@@ -49,6 +49,16 @@ class Age(Enum):
     YOUNG = "young"  # without a time it counts as old
 
 
+class AfterStop(Enum):
+    """Whether an order is done behind a STOP: one rule for every front."""
+
+    DONE = "done"  # it ends something, or moves nothing: done whenever it comes
+    IF_NEWER = "if newer"  # done, unless it was asked for before the STOP
+    #: Likewise, and not before its client has begun anew: asked for control, or let go of keys.
+    #: A program whose steps are separate orders does not fly on after a STOP that it did not hear.
+    ANEW = "anew"
+
+
 @dataclass_transform(frozen_default=True, field_specifiers=(field,))
 class Order:
     """Something that a front asks an agent for."""
@@ -62,6 +72,7 @@ class Order:
     #: often. An order that is not kept waits for no disk.
     is_kept: ClassVar[bool] = True
     age: ClassVar[Age] = Age.YOUNG
+    after_stop: ClassVar[AfterStop] = AfterStop.ANEW  #: where it moves nothing: DONE
     #: Whether it is done as it is heard, before orders that were heard and have not begun.
     is_at_once: ClassVar[bool] = False
     label: ClassVar[str]  #: its name for people
@@ -70,7 +81,8 @@ class Order:
         """The class data that are named; ``is_kind``: whether there are orders of this class."""
         if unknown := data.keys() - Order.__annotations__.keys():
             raise TypeError(f"{cls.__name__}: orders have no {', '.join(sorted(unknown))}")
-        for name, value in data.items():
+        still = {} if data.get("moves", True) else {"after_stop": AfterStop.DONE}
+        for name, value in (still | data).items():
             setattr(cls, name, value)
         # Such a field would be the sender's to fill in, and what nobody reads is not the strictest.
         taken = cls.__annotations__.keys() & {*Order.__annotations__, "kind"}
@@ -99,19 +111,30 @@ class Stop(EndingOrder, needs=Needs.NOTHING, age=Age.ANY):
 
 
 class Halt(EndingOrder, label="hover", needs=Needs.NOTHING, age=Age.ANY, is_at_once=True):
-    """Hover: no motion and no guided flight; a task goes on."""
+    """Hover: no motion and no guided flight; a task goes on.
+
+    Anybody may. Unless its holder gives it under the lease, the holder has to begin anew by then.
+    """
 
     why: str = ""  #: for people
+    begins_anew: bool = False  #: the holder of the lease let go: what is asked next flies
 
 
-class Land(EndingOrder):
+class Land(EndingOrder, after_stop=AfterStop.IF_NEWER):
     """Land in place. Minutes later it would surprise somebody, so it must not be old."""
 
 
 # -- the lease: over a fleet it is proved, and its token stays on board ----------------------------
 
 
-class LeaseOrder(Order, is_kind=False, needs=Needs.NOTHING, is_kept=False, is_at_once=True):
+class LeaseOrder(
+    Order,
+    is_kind=False,
+    needs=Needs.NOTHING,
+    is_kept=False,
+    is_at_once=True,
+    after_stop=AfterStop.IF_NEWER,
+):
     """Any order about the lease."""
 
 
@@ -148,15 +171,15 @@ class ConfirmTakeOver(LeaseOrder):
 # -- orders to an aircraft -------------------------------------------------------------------------
 
 
-class Activate(Order, needs=Needs.LEASE_IF_HELD):
+class Activate(Order, needs=Needs.LEASE_IF_HELD, after_stop=AfterStop.IF_NEWER):
     """Activate the aircraft."""
 
 
-class Obtain(Order):
-    """Obtain control authority."""
+class Obtain(Order, after_stop=AfterStop.IF_NEWER):
+    """Obtain control authority; its client begins anew by it after a STOP."""
 
 
-class Release(Order):
+class Release(Order, after_stop=AfterStop.DONE):
     """Give control authority back; the lease stays."""
 
 
@@ -174,19 +197,21 @@ class FlyPattern(Order):
     number: int  #: 0 to 6
 
 
-class SwitchMotors(Order):
-    """Start or stop the motors on the ground."""
-
-    on: bool  #: whether they start
+class StartMotors(Order):
+    """Start the motors on the ground."""
 
 
-class PointGimbal(Order, needs=Needs.LEASE_IF_HELD):
+class StopMotors(Order, after_stop=AfterStop.DONE):
+    """Stop the motors on the ground; nothing of the kind is ever sent in the air."""
+
+
+class PointGimbal(Order, needs=Needs.LEASE_IF_HELD, after_stop=AfterStop.IF_NEWER):
     """Point the gimbal; nobody confirms it."""
 
     angles: GimbalAngle
 
 
-class TurnGimbal(Order, needs=Needs.LEASE_IF_HELD):
+class TurnGimbal(Order, needs=Needs.LEASE_IF_HELD, after_stop=AfterStop.IF_NEWER):
     """Turn the gimbal for half a second; nobody confirms it."""
 
     rates: GimbalSpeed
@@ -200,7 +225,7 @@ class CameraUse(Enum):
     STOP_VIDEO = "stop_video"
 
 
-class UseCamera(Order, needs=Needs.LEASE_IF_HELD):
+class UseCamera(Order, needs=Needs.LEASE_IF_HELD, after_stop=AfterStop.IF_NEWER):
     """Take a photograph, start or stop video; nobody confirms it."""
 
     use: CameraUse
@@ -212,13 +237,13 @@ class AskVersion(
     """Tell the version of the aircraft: name and CRC."""
 
 
-class SendToMobile(Order):
+class SendToMobile(Order, after_stop=AfterStop.IF_NEWER):
     """Send data to the app on the pilot's phone."""
 
     data: bytes  #: up to 100 bytes
 
 
-class OrderReplay(Order, needs=Needs.NOTHING):
+class OrderReplay(Order, needs=Needs.NOTHING, after_stop=AfterStop.IF_NEWER):
     """Move, stop or go on with a recording."""
 
     text: str  #: in words of :meth:`m100link.apps.agent.server.replays.Replays.order`
@@ -270,11 +295,11 @@ class StartMission(Order):
     until_over: bool = False  #: done when it is over, not when it has begun
 
 
-class StopMission(Order):
+class StopMission(Order, after_stop=AfterStop.DONE):
     """End the mission that flies, of whatever kind; done when something else may fly."""
 
 
-class PauseMission(Order):
+class PauseMission(Order, after_stop=AfterStop.DONE):
     """Let the aircraft hover in the mission, of whatever kind."""
 
 
@@ -357,8 +382,7 @@ GuidedOrder = FlyTo | FlyAround | ChangeHeight | ChangeHeading
 
 def require_newer(order: Order, asked_at: float, stopped_at: float) -> None:
     """Raise ``GuardRefused``: a STOP came after an order, or its first step, was asked for; s."""
-    # An order that ends a flight under a lease moves nothing.
-    if asked_at < stopped_at and order.moves and not isinstance(order, Release | StopMission):
+    if asked_at < stopped_at and order.after_stop is not AfterStop.DONE:
         raise GuardRefused(
             f"STOP was pressed after {order.label} was asked for; nothing was sent",
             guard="stopped",

@@ -167,8 +167,9 @@ class FleetAgent:
         who = self._orders.shut_out()
         if who:
             self._ages.revoke(self.client.now)
-            self.client.note(f"{who} is revoked: this aircraft hovers", "error")
             self.client.background.spawn(self.client.stop(), "stop of who is revoked")
+            self.client.hover(f"{who} is revoked")  # at once: the task above begins a turn later
+            self.client.note(f"{who} is revoked: this aircraft hovers", "error")
 
     def _tell_damage(self) -> None:
         if self._order_log.damaged:
@@ -234,9 +235,9 @@ class FleetAgent:
         self._is_duplicate = self.duplicates.is_there(client.now)
         if self._is_duplicate and not had:
             text = f"another agent is named {self._keys.name}: this aircraft hovers until one ends"
-            client.note(text, "error")
             if client.holder.number in self._orders.leases:  # a show flies by what is on board
                 client.hover(text)
+            client.note(text, "error")
         elif had and not self._is_duplicate:
             client.note(f"no other agent is named {self._keys.name} any more")
 

@@ -32,7 +32,14 @@ from m100link.apps.fleet.payloads import (
     pack,
     unpack,
 )
-from m100link.errors import M100Error, NotAllowed, OutcomeUnknown, StaleLease, Unreachable
+from m100link.errors import (
+    GuardRefused,
+    M100Error,
+    NotAllowed,
+    OutcomeUnknown,
+    StaleLease,
+    Unreachable,
+)
 
 PATIENCE_S = 10.0
 """Seconds without any answer after which the outcome counts as unknown.
@@ -71,7 +78,10 @@ class Asker:
         # Ids of those that are known to show its token, without asking anybody.
         sessions: Callable[[], Collection[str]] = frozenset,
         utc: Callable[[], float] = time.time,  # POSIX time, s
+        # By aircraft: since when its program, which took control, has heard of no STOP, s.
+        unstopped: dict[str, float] | None = None,
     ) -> None:
+        self._unstopped = {} if unstopped is None else unstopped
         self._known = sessions
         self._found: frozenset[str] = frozenset()
         self.bus, self.keys = bus, keys
@@ -106,6 +116,8 @@ class Asker:
         # An order that moves has to say it, and is not carried out when it is old.
         clock: float = 0.0,
         identity: str = "",  # of the order; a new one by default
+        # When the first step of its request was wanted, by the same clock; by default as `clock`.
+        since: float = 0.0,
         patience: float | None = None,
     ) -> OrderReply:
         """Ask for something, and wait for what becomes of it.
@@ -121,15 +133,37 @@ class Asker:
         """
         if not await self.is_there():
             raise nobody_there(self.keys.name)
-        order = self.around(asked, fence, token, clock, identity)
+        order = self.around(asked, fence, token, clock, identity, since)
         key = self.keys.lease if isinstance(asked, orders.LeaseOrder) else self.keys.command
-        return _raised(await self._answered(key, order, patience or self.patience))
+        within = self.patience if patience is None else patience
+        reply = self._raised(await self._answered(key, order, within))
+        if isinstance(asked, orders.Stop):
+            self.hear_of_stop()
+        return reply
 
-    def lease_request(self, offer: str = "", clock: float = 0.0) -> LeaseRequest:
-        """For :meth:`take_lease`; an offer confirms a take-over. ``clock``: as in :meth:`ask`."""
+    def unstopped_since(self) -> float:
+        """Since when this program has heard of no STOP, s; from now on at the latest."""
+        return self._unstopped.setdefault(self.keys.name, self._clock())
+
+    def hear_of_stop(self) -> None:
+        """The program ordered it, or is refused for it: what it asks for next it means."""
+        self._unstopped[self.keys.name] = self._clock()
+
+    def _raised(self, reply: OrderReply) -> OrderReply:
+        try:
+            return _raised(reply)
+        except GuardRefused as error:
+            if error.guard == "stopped":
+                self.hear_of_stop()
+            raise
+
+    def lease_request(
+        self, offer: str = "", clock: float = 0.0, since: float = 0.0
+    ) -> LeaseRequest:
+        """For :meth:`take_lease`; an offer confirms a take-over. Times: as in :meth:`ask`."""
         half = Half()
         asked = orders.ConfirmTakeOver(offer) if offer else orders.AcquireLease(self._name)
-        return LeaseRequest(self.around(asked, clock=clock, key=half.public), half)
+        return LeaseRequest(self.around(asked, clock=clock, since=since, key=half.public), half)
 
     async def take_lease(self, request: LeaseRequest) -> tuple[Lease, float]:
         """Ask for the lease, whose secret this side and the agent then know and nobody else.
@@ -138,7 +172,7 @@ class Asker:
         """
         if not await self.is_there():
             raise nobody_there(self.keys.name)
-        reply = _raised(await self._answered(self.keys.lease, request.order, self.patience))
+        reply = self._raised(await self._answered(self.keys.lease, request.order, self.patience))
         return request.lease(reply), reply.clock
 
     async def renew(self, lease: Lease, *, within: float) -> OrderReply | None:
@@ -203,12 +237,14 @@ class Asker:
         token: str = "",
         clock: float = 0.0,
         identity: str = "",
+        since: float = 0.0,
         key: bytes = b"",
     ) -> OrderMessage:
         """A new order, signed; see :meth:`ask`."""
         head = (identity or uuid.uuid4().hex, self.keys.site, self.keys.name, self._name)
         clock = clock or self.its_clock.at_least(self._clock())
-        return self._sign(OrderMessage(*head, fence, self._utc(), asked, clock, key=key), token)
+        made = OrderMessage(*head, fence, self._utc(), asked, clock, since=since, key=key)
+        return self._sign(made, token)
 
     async def _answered(self, key: str, order: OrderMessage, patience: float) -> OrderReply:
         payload, status = pack(order), self.keys.status(order.id)

@@ -332,18 +332,20 @@ class FleetChannel:
         self._asks += 1
         # Stamped as it is said, not as its turn comes.
         now = self._clock()
-        clock = self._its_clock.at_least(now)
-        if clock and ask.sent_at and isinstance(order, orders.AcquireLease | orders.AskTakeOver):
-            clock -= now - ask.sent_at  # it may be a step of a request that began earlier
+        clock = since = self._its_clock.at_least(now)
+        if clock != 0.0 and ask.sent_at is not None:
+            since -= now - ask.sent_at  # it may be a step of a request that began earlier
 
         async def carry_out() -> None:
             try:
                 if isinstance(order, orders.LeaseOrder):
-                    await self._ask_lease(ask.id, order, clock)
+                    await self._ask_lease(ask.id, order, clock, since)
                 else:
                     lease = self._leases.get(ask.fence)
                     token = "" if lease is None else lease.token
-                    asking = self._asker.ask(order, fence=ask.fence, token=token, clock=clock)
+                    asking = self._asker.ask(
+                        order, fence=ask.fence, token=token, clock=clock, since=since
+                    )
                     self._answer(ask.id, await asking)
             except M100Error as error:
                 self._answer(ask.id, None, error)
@@ -441,12 +443,14 @@ class FleetChannel:
         self.lost = error
         self._hold(LeaseChanged(0, ""))
 
-    async def _ask_lease(self, identity: int, order: orders.LeaseOrder, clock: float) -> None:
+    async def _ask_lease(
+        self, identity: int, order: orders.LeaseOrder, clock: float, since: float
+    ) -> None:
         name, token = getattr(order, "name", ""), getattr(order, "token", "")
         asker = self._asker_of(name)
         asker.its_clock = self._its_clock
         if isinstance(order, orders.AcquireLease | orders.ConfirmTakeOver):
-            request = asker.lease_request(token, clock)
+            request = asker.lease_request(token, clock, since)
             lease, its = await asker.take_lease(request)
             # No report ends any of them: it may be old, lost on the way, or of a stranger, and a
             # client that believes to have control has to be able to steer, and to give it back.
@@ -459,7 +463,7 @@ class FleetChannel:
         held = self._lease_of(token)
         fence, secret = (0, "") if held is None else (held.number, held.token)
         plain = type(order)() if token else order
-        reply = await asker.ask(plain, fence=fence, token=secret, clock=clock)
+        reply = await asker.ask(plain, fence=fence, token=secret, clock=clock, since=since)
         if isinstance(order, orders.AskTakeOver):
             until = self._clock() + TAKE_OVER_LIFETIME
             offer = TakeOver(name, reply.text, reply.offer, reply.number, until)

@@ -204,6 +204,7 @@ class Fleet:
         self.keys = Keys(site)
         self._name = name
         self._options: dict[str, Any] = {"patience": patience, "utc": utc, "sign": sign or unsigned}
+        self._options["unstopped"] = {}  # one for all of them
         self._clock = asyncio.get_running_loop().time
         # Ids of the sessions that show the token of each.
         self._present: dict[str, set[str]] = {}

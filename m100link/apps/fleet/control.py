@@ -22,7 +22,14 @@ from m100link.apps.fleet.asking import STEP_S, Asker
 from m100link.apps.fleet.carrier import FleetChannel
 from m100link.apps.fleet.missions.flight import FleetMission, MissionOrders
 from m100link.apps.fleet.payloads import OrderReply
-from m100link.errors import FleetError, M100Error, OutcomeUnknown, StaleLease, UsageError
+from m100link.errors import (
+    FleetError,
+    GuardRefused,
+    M100Error,
+    OutcomeUnknown,
+    StaleLease,
+    UsageError,
+)
 from m100link.missions.plan import WaypointPlan
 from m100link.protocol.setpoint import Setpoint
 
@@ -75,7 +82,8 @@ class FleetControl:
         return lease.number, lease.token
 
     async def __aenter__(self) -> Self:
-        asked_at = self._clock()
+        # A program whose steps are blocks of their own does not fly on after a STOP between two.
+        asked_at = self._asker.unstopped_since()
         # An order that says when it was made is not carried out when nobody waits for it any more.
         if await self._asker.is_there():
             await self._asker.look(within=STEP_S)
@@ -99,11 +107,11 @@ class FleetControl:
         return self
 
     async def __aexit__(self, _type: object, exc: BaseException | None, _: object) -> None:
-        owner = self._owner
+        owner, session = self._owner, self._session
         try:
             try:
-                if self._lost is None and self._stop == "land":
-                    await self.land()
+                if self._lost is None and self._stop == "land" and session is not None:
+                    await session.bring_down(orders.Land(), self._clock())
             finally:
                 await self._leave()
         except asyncio.CancelledError as error:
@@ -266,6 +274,8 @@ class FleetControl:
         lease = self._held()
         refused, self._refused = self._refused, None
         if refused is not None:
+            if isinstance(refused, GuardRefused) and refused.guard == "stopped":
+                self._asker.hear_of_stop()
             raise refused
         self._channel.fly(lease, setpoint, lifetime, begins=begins)
 
@@ -312,7 +322,8 @@ class FleetControl:
         """Ask for the hover that follows anyway when the setpoint expires, only later."""
         hover = orders.Halt(f"{self._name} ended a hold")
         try:
-            await self._asker.ask(hover, patience=LEASE_LIFETIME)
+            fence, token = self.proof
+            await self._asker.ask(hover, fence=fence, token=token, patience=LEASE_LIFETIME)
         except FleetError as error:
             _logger.warning("%s: the setpoint expires: %s", self._keys.name, error.seen)
 

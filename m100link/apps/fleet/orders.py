@@ -18,11 +18,9 @@ from m100link.apps.fleet.identity import Since, nobody
 from m100link.apps.fleet.missions.manager import MissionManager
 from m100link.apps.fleet.order_log import OrderLog
 from m100link.apps.fleet.payloads import OrderMessage, agree
-from m100link.errors import M100Error, MissionRunning, NotAllowed, StaleLease, TaskRefused
+from m100link.errors import M100Error, NotAllowed, StaleLease
 
 _LOOK_S = 0.1
-_REFUSED_S = 5.0
-_AGAIN_S = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,9 +39,6 @@ class Granted:
     lease: Lease  # as the agent knows it; its token never leaves the aircraft
     secret: str = field(repr=False)  # what orders and setpoints under it are proved with
     signer: str  # who signed for it, who may be revoked meanwhile; empty when nobody did
-    # When it was asked for, s: a STOP since then overtakes the authority that is asked for next.
-    # None behind that.
-    asked_at: float | None
 
 
 class OrderService:
@@ -101,7 +96,7 @@ class OrderService:
             case orders.AcquireLease() | orders.ConfirmTakeOver():
                 return await self._granted(order, asked)
             case orders.AskTakeOver():
-                offer = await client.ask_take_over(order.by, order.clock)
+                offer = await client.ask_take_over(order.by, order.wanted_at)
                 return Done(offer.from_name, offer.number, offer.token)
             case orders.ReleaseLease():
                 await client.release_lease(self.require_lease(order).token)
@@ -115,18 +110,19 @@ class OrderService:
             case orders.Stop():
                 await client.stop()
             case orders.Halt():
-                # Under its lease it begins anew after STOP, but not after one since it was made.
-                is_anew = order.clock >= client.stopped_at
+                # Not after a STOP since it was made.
+                is_anew = asked.begins_anew and order.clock >= client.stopped_at
                 why = asked.why or f"{order.by}: hover"
-                client.hover(why, self._lease_if_any(order) if is_anew else None)
+                client.hover(why, self._lease_if_any(order), begins_anew=is_anew)
             case orders.Land() if not order.fence:
+                orders.require_newer(asked, order.clock, client.stopped_at)
                 await self.descend(asked, f"landing for {order.by}", signer=order.signer)
             case orders.UploadPlan():
                 return Done(await self.missions.upload(self.require_lease(order), asked, order.by))
             case _:
                 self._underway += 1
                 try:
-                    return await self._do(asked, self.lease_for(order, asked), order.clock or None)
+                    return await self._do(asked, self.lease_for(order, asked), order.wanted_at)
                 finally:
                     self._underway -= 1
         return Done()
@@ -138,9 +134,6 @@ class OrderService:
         if isinstance(asked, orders.StartMission) and lease is not None:
             await self.missions.start(lease, asked, at)
             return Done()
-        if isinstance(asked, orders.Obtain) and lease is not None:
-            granted = self.leases[lease.number]
-            at, granted.asked_at = granted.asked_at or at, None
         outcome = await self._client.ask(asked, lease, asked_at=at)
         if isinstance(asked, orders.PauseMission | orders.ResumeMission):
             self.missions.paused(is_paused=isinstance(asked, orders.PauseMission))
@@ -174,16 +167,15 @@ class OrderService:
 
     async def _granted(self, order: OrderMessage, asked: orders.LeaseOrder) -> Done:
         key, secret = agree(order)  # before anything is taken from anybody
-        asked_at = order.clock or self._client.now
         if isinstance(asked, orders.ConfirmTakeOver):
-            lease = await self._client.confirm(asked.token, order.clock)
+            lease = await self._client.confirm(asked.token, order.wanted_at)
         else:
-            lease = await self._client.acquire(order.by, order.clock)
+            lease = await self._client.acquire(order.by, order.wanted_at)
         since = self._revoked(order.signer)
         if since:  # while it was being granted
             self._client.let_go(lease)
             raise NotAllowed(f"{order.signer} is revoked since {since}")
-        self.leases[lease.number] = Granted(lease, secret, order.signer, asked_at)
+        self.leases[lease.number] = Granted(lease, secret, order.signer)
         await self._order_log.granted(lease.number)
         return Done(lease.name, lease.number, key=key)
 
@@ -200,8 +192,9 @@ class OrderService:
             LeaseHeld: Somebody has the lease, and it is not to be taken over.
             M100Error: As the agent tells.
         """
-        if self._client.view.is_on_ground and not self._underway:
-            return  # it is where it is wanted
+        is_held = self._underway or self._client.holder.number
+        if self._client.view.is_on_ground and not is_held:
+            return  # it is where it is wanted, and nobody can be about to take off
         is_under_way = self._descent is not None and not self._descent.done()
         if self._descent is None or not is_under_way or task != self._descends_by:
             self._descends_by = task
@@ -219,30 +212,22 @@ class OrderService:
                 lease = await control.take(take_over=take_over)
                 asked_at = await self._end_task()
                 self._client.check(lease)  # somebody may have it who wants no landing
-                await control.obtain()
-                await self._fly_down(lease, task, asked_at)
+                if asked_at is None:
+                    return
+                await control.obtain(asked_at=asked_at)
+                await control.bring_down(task, asked_at)
         finally:
             control.close()
 
-    async def _end_task(self) -> float:
-        """End the task that flies, but a landing. Returns since when a STOP is another's, s."""
+    async def _end_task(self) -> float | None:
+        """End the task that flies, but a landing. Returns since when a STOP is another's, s.
+
+        None: it stands, and nothing flies.
+        """
         client, asked_at = self._client, self._client.now
         while client.state.task == Flown.LAND.value:  # noqa: ASYNC110 - no event says it
             await asyncio.sleep(_LOOK_S)
         if client.state.task:
             await client.stop()  # nothing else ends a task
             return client.now
-        return asked_at
-
-    async def _fly_down(self, lease: Lease, task: orders.Order, asked_at: float) -> None:
-        until = self._client.now + _REFUSED_S
-        while not self._client.view.is_on_ground:
-            try:
-                await self._client.ask(task, lease, asked_at=asked_at)
-            except (TaskRefused, MissionRunning):
-                # A task that was broken off takes its time to end, in the air or on the ground.
-                if self._client.now > until:
-                    raise
-                await asyncio.sleep(_AGAIN_S)
-            else:
-                return
+        return None if client.view.is_on_ground and not self._underway else asked_at

@@ -170,11 +170,11 @@ def after(stage: MissionStage, happens: MissionInput) -> MissionStage:
 
 # -- payloads --------------------------------------------------------------------------------------
 
-VERSION = 3
+VERSION = 4
 """Of these payloads."""
 
-_SIGNED = b"m100link order 3\n"
-_ABOUT = b"m100link lease 3\n"
+_SIGNED = b"m100link order 4\n"
+_ABOUT = b"m100link lease 4\n"
 _SIGNATURE, _PROOF = 64, 16
 _MOST = 64 * 1024
 
@@ -267,9 +267,18 @@ class OrderMessage:
     # Public half of the secret of the lease that it asks for; see
     # :class:`Half`. Empty where it asks for none.
     key: bytes = b""
+    # When the first step of its request was wanted, by the clock of `clock`: a STOP since then
+    # overtakes it. 0: as `clock`.
+    since: float = 0.0
     # Before the JSON, zeros for none: the signature, and the proof that the sender has the lease.
     signature: bytes = bytes(_SIGNATURE)
     proof: bytes = bytes(_PROOF)
+
+    @property
+    def wanted_at(self) -> float | None:
+        """When it was wanted first, by the agent's clock, s; None: unknown."""
+        at = self.clock if self.since == 0.0 else self.since
+        return None if at == 0.0 else at
 
     @cached_property
     def document(self) -> bytes:

@@ -42,10 +42,10 @@ from m100link.apps.mavlink.translator.route import (
 from m100link.apps.mavlink.translator.vehicle_state import FlightSource, Mode, VehicleState
 from m100link.errors import (
     AckTimeout,
+    GuardRefused,
     M100Error,
     MissionRefused,
     NoAuthority,
-    TaskRefused,
     UsageError,
 )
 from m100link.missions.plan import WaypointPlan
@@ -53,7 +53,6 @@ from m100link.protocol.setpoint import Setpoint
 
 _TAKES_OFF_WITHIN_S = 2.5
 """Seconds after its order in which a take-off shows, if it is flown (DJI's samples wait for 2)."""
-_LANDS_WITHIN_S, _LANDS_AGAIN_S = 30.0, 0.5
 _LASTS_S = 0.25  # a setpoint on its own: the bridge renews it many times in that
 _CLOSE_M = 0.3  # a climb of less than this after the take-off is not asked for
 
@@ -117,7 +116,9 @@ class OrderExecutor:
     def _drop(self) -> None:
         if self._owes_a_stop and self._session.has_lease:
             # Where the agent was only not heard for a while, it flies on what nobody wants now.
-            self._agent.hover("the bridge does not know whether it has control")
+            self._agent.hover(
+                "the bridge does not know whether it has control", self._session.lease
+            )
         if self._work is not None:
             self._work.cancel()
 
@@ -147,6 +148,8 @@ class OrderExecutor:
             error = None
         except M100Error as met:
             error = met
+            if isinstance(met, GuardRefused) and met.guard == "stopped":
+                self._session.begin_anew(at=self._agent.now)  # its sender hears of it by that
         finally:
             if isinstance(order, ObtainControl):
                 self._manager.armed(order, error, self._agent.now)
@@ -166,30 +169,16 @@ class OrderExecutor:
     async def _call_off(self, order: CancelTakeOff, lease: Lease | None) -> None:
         self._world.may_take_off = True
         try:
-            await self._agent.ask(orders.Release(), lease)
+            await self._ask(orders.Release(), lease)
             # It may have been taking off until now: what counts is what it does after a while.
             await asyncio.sleep(_TAKES_OFF_WITHIN_S)
             if self._world.known.view.is_on_ground is not True:
-                await self._agent.ask(orders.Obtain(), lease)
-                await self._land_at_last(lease)
+                await self._ask(orders.Obtain(), lease)
+                # The aircraft refuses a landing until its take-off is over.
+                await self._session.bring_down(orders.Land(), self._asked_at)
         finally:
             self._world.may_take_off = False
         await self._disarm()
-
-    async def _land_at_last(self, lease: Lease | None) -> None:
-        """The aircraft refuses a landing until its take-off is over."""
-        until = self._agent.now + _LANDS_WITHIN_S
-        while True:
-            try:
-                await self._agent.ask(orders.Land(), lease)
-            except TaskRefused:
-                if self._world.known.view.is_on_ground:
-                    return
-                if self._agent.now >= until:
-                    raise
-                await asyncio.sleep(_LANDS_AGAIN_S)
-            else:
-                return
 
     # -- flying ----------------------------------------------------------------------------------
 
@@ -224,12 +213,12 @@ class OrderExecutor:
         with suppress(AckTimeout, MissionRefused):
             # The agent reports it; and a landing breaks off what a stop did not end.
             await self._make_way(lease, order.is_interrupting)
-        self._session.begin_anew("landing", self._asked_at)
+        self._agent.hover("landing", self._session.lease)
         await self._ask(orders.Land(), lease)
 
     async def _go_home(self, order: ReturnToLaunch, lease: Lease | None) -> None:
         await self._make_way(lease, order.is_interrupting)
-        self._session.begin_anew("going home", self._asked_at)
+        self._agent.hover("going home", self._session.lease)
         await self._ask(orders.GoHome(), lease)
 
     async def _hold(self, order: HoldPosition, lease: Lease | None) -> None:

@@ -278,7 +278,7 @@ class FlightGoal(ABC):
         """End it with a hover, after the autopilot's take-off; nothing more is ordered."""
         self._ended.set()
         if self.is_ours:  # what somebody else flies by now goes on
-            self._agent.hover(why)  # not under the lease, by which setpoints would fly after STOP
+            self._agent.hover(why, self._lease)
 
     @property
     def is_ours(self) -> bool:

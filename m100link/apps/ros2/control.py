@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
@@ -19,13 +19,12 @@ from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.control_session import ControlSession, ControlState, Terms
 from m100link.apps.agent.latency import MAX_LATE, ClockEstimate
-from m100link.errors import BadSetpoint, M100Error, MissionRunning, UsageError
+from m100link.errors import BadSetpoint, M100Error, UsageError
 from m100link.protocol.setpoint import Setpoint
 
 SILENCE_S = 0.5  # seconds without a setpoint after which a publisher has let go
 _JITTER_S = 0.1  # by how much a pause may be shorter where it is made than where it is heard
 _MOST_SENDERS = 32
-_Ask = Callable[..., Any]  # the agent, under a lease, since a time
 
 
 @dataclass(slots=True)
@@ -241,29 +240,17 @@ class RosControl:
         if isinstance(task, orders.TakeOff):
             self.require_free("take-off")
         else:
-            self._agent.hover(f"{task.label} was requested")
+            self._agent.hover(f"{task.label} was requested", lease)
         # A STOP from now on overtakes each step.
-        ask = partial(self._agent.ask, lease=lease, asked_at=self._agent.now)
-        await self._agent.background.begin(partial(self._flown, ask, task), task.label)
+        at = self._agent.now
+        await self._agent.background.begin(partial(self._flown, at, task), task.label)
 
-    async def _begin(self, ask: _Ask, task: orders.Order, begun: asyncio.Event) -> None:
-        """Fly a task. A mission of the aircraft's own has to be over before a landing."""
+    async def _flown(self, asked_at: float, task: orders.Order, begun: asyncio.Event) -> None:
         try:
-            await ask(task, accepted=begun.set)
-        except MissionRunning:
             if isinstance(task, orders.TakeOff):
-                raise
-        else:
-            return
-        try:
-            await ask(orders.StopMission())
-        except M100Error as error:  # it may be over by now, and landing matters more
-            self._agent.note(f"the mission before {task.label}: {error.seen}")
-        await ask(task, accepted=begun.set)
-
-    async def _flown(self, ask: _Ask, task: orders.Order, begun: asyncio.Event) -> None:
-        try:
-            await self._begin(ask, task, begun)
+                await self._agent.ask(task, self.session.lease, begun.set, asked_at)
+            else:
+                await self.session.bring_down(task, asked_at, begun.set)
         except M100Error as error:
             if not begun.is_set():
                 raise

@@ -11,7 +11,7 @@ from typing import Any
 
 from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
-from m100link.apps.agent.orders import CameraUse, SwitchMotors, UseCamera
+from m100link.apps.agent.orders import CameraUse, StartMotors, StopMotors, UseCamera
 from m100link.apps.bus.network import PolledBus
 from m100link.apps.bus.session import LARGEST, Opening, ZenohBus, open_session
 from m100link.apps.ros2.actions import Actions
@@ -179,8 +179,8 @@ class Node:
             "~/takeoff": trigger(lambda: control.fly(orders.TakeOff()), "it takes off"),
             "~/land": trigger(lambda: self._end(orders.Land()), "it lands"),
             "~/go_home": trigger(lambda: self._end(orders.GoHome()), "it flies home"),
-            "~/arm": trigger(lambda: control.do(SwitchMotors(on=True)), "the motors run"),
-            "~/disarm": trigger(lambda: control.do(SwitchMotors(on=False)), "the motors stand"),
+            "~/arm": trigger(lambda: control.do(StartMotors()), "the motors run"),
+            "~/disarm": trigger(lambda: control.do(StopMotors()), "the motors stand"),
             "~/stop": trigger(control.session.stop, "stopped"),
             "~/take_photo": trigger(lambda: control.do(UseCamera(CameraUse.PHOTO)), "sent"),
             "~/start_video": trigger(lambda: control.do(UseCamera(CameraUse.START_VIDEO)), "sent"),

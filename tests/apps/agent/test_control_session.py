@@ -257,6 +257,7 @@ async def test_a_front_that_fails_to_show_it_has_stopped_it(pilots: Pilots, how:
         await client.ask(orders.TakeOff(), one.lease)
         if how == "begin_anew":
             await pilots.clients[1].stop()
+            await client.ask(orders.Obtain(), one.lease)  # past the session, which is stopped
         await client.ask(orders.FlyPattern(1), one.lease)
         await rig.until(lambda: rig.aircraft.vehicle.flight.dynamics.speed > 0.3)
         one.on_change = fails
@@ -1150,7 +1151,7 @@ async def test_a_stop_stands_before_anybody_answers_and_goes_out_from_each_pilot
         pilot.one.begin_anew("released")
         halt = pilot.agent.heard[-1]
         assert isinstance(halt, Ask)
-        assert (halt.id, halt.order, halt.fence) == (0, orders.Halt("released"), 7)
+        assert (halt.id, halt.order, halt.fence) == (0, orders.Halt("released", True), 7)
         assert pilot.states[-1:] == [S.HOLDING]
 
 

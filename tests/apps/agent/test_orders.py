@@ -16,7 +16,7 @@ import pytest
 from m100link.apps.agent import orders
 from m100link.apps.agent.codec import decode, encode
 from m100link.apps.agent.messages import Ask, MessageError
-from m100link.apps.agent.orders import ORDERS, Age, Needs, Order, Right, setpoint_of
+from m100link.apps.agent.orders import ORDERS, AfterStop, Age, Needs, Order, Right, setpoint_of
 from m100link.apps.agent.server import agent as handlers
 from m100link.errors import M100Error, UsageError
 from m100link.protocol.firmware import FIRMWARE_3_1
@@ -25,20 +25,23 @@ from tests.apps.agent.conftest import Rig
 from tests.apps.agent.examples import EXAMPLES, example
 
 # Needs no lease, needs one if somebody has it; the right to stop, to watch; does not move the
-# aircraft, is not kept, may be old, is young if its time is known, is done at once.
+# aircraft, is not kept, may be old, is young if its time is known, is done at once. After a STOP:
+# it is done, or done where it is newer.
 BY_HAND = {
-    "Stop": "no-lease stop still unkept any-age",
-    "Halt": "no-lease stop still unkept any-age at-once",
-    "Land": "stop still unkept",
-    "AskVersion": "no-lease watch still unkept any-age",
-    "UploadPlan": "still unkept any-age",
-    "AcquireLease": "no-lease unkept if-known at-once",
-    "AskTakeOver": "no-lease unkept any-age at-once",
-    "ConfirmTakeOver": "no-lease unkept at-once",
-    "RenewLease": "no-lease still unkept at-once",
-    "ReleaseLease": "no-lease still unkept any-age at-once",
-    "OrderReplay": "no-lease",
-    **dict.fromkeys(("Activate", "PointGimbal", "TurnGimbal", "UseCamera"), "if-held"),
+    "Stop": "no-lease stop still unkept any-age done",
+    "Halt": "no-lease stop still unkept any-age at-once done",
+    "Land": "stop still unkept newer",
+    "AskVersion": "no-lease watch still unkept any-age done",
+    "UploadPlan": "still unkept any-age done",
+    "AcquireLease": "no-lease unkept if-known at-once newer",
+    "AskTakeOver": "no-lease unkept any-age at-once newer",
+    "ConfirmTakeOver": "no-lease unkept at-once newer",
+    "RenewLease": "no-lease still unkept at-once done",
+    "ReleaseLease": "no-lease still unkept any-age at-once done",
+    "OrderReplay": "no-lease newer",
+    **dict.fromkeys(("Activate", "PointGimbal", "TurnGimbal", "UseCamera"), "if-held newer"),
+    **dict.fromkeys(("Obtain", "SendToMobile"), "newer"),
+    **dict.fromkeys(("Release", "StopMotors", "StopMission", "PauseMission"), "done"),
 }
 
 
@@ -55,6 +58,8 @@ def test_an_order_is_the_most_dangerous_one_unless_it_is_named(kind: type[Order]
         "any-age": kind.age is Age.ANY,
         "if-known": kind.age is Age.YOUNG_IF_KNOWN,
         "at-once": kind.is_at_once,
+        "done": kind.after_stop is AfterStop.DONE,
+        "newer": kind.after_stop is AfterStop.IF_NEWER,
     }
     assert {one for one, is_so in said.items() if is_so} == set(
         BY_HAND.get(kind.__name__, "").split()

@@ -17,11 +17,21 @@ from m100link.apps.agent.lease import LeaseHeld
 from m100link.apps.agent.orders import FlyTo
 from m100link.apps.fleet.client import Fleet
 from m100link.apps.fleet.control import FleetControl
-from m100link.errors import GuardRefused, M100Error, OutcomeUnknown, StaleLease, UsageError
+from m100link.errors import (
+    AckTimeout,
+    GuardRefused,
+    M100Error,
+    OutcomeUnknown,
+    StaleLease,
+    TaskRefused,
+    UsageError,
+)
 from m100link.geodesy import LocalFrame
 from m100link.protocol.setpoint import Setpoint
+from m100link.sim.virtual import VirtualAircraft
 from tests.apps.bus.memory import Weather
 from tests.apps.fleet.conftest import Rig
+from tests.apps.fleet.missions.test_manager import away
 
 pytestmark = pytest.mark.anyio
 
@@ -44,6 +54,85 @@ async def test_one_flies_to_a_place_and_lands_as_the_block_is_left(rig: Rig) -> 
         assert one.height > 4.0
     assert one.height < 0.1
     assert one.client.holder.number == 0
+
+
+@pytest.mark.parametrize("what", ["unanswered", "refused", "of a take-off", "of a mission"])
+async def test_the_landing_at_the_end_of_a_block_is_asked_for_again(rig: Rig, what: str) -> None:
+    """Its lease goes back behind it: an aircraft that hovers then has nobody."""
+    virtual = VirtualAircraft(seed=5, firmware="3.1")
+    one, pilot = await rig.aircraft("a1", virtual=virtual), await rig.pilot()
+    errors = {"unanswered": AckTimeout("land"), "refused": TaskRefused("another task ends")}
+    left, asked = 20 if what in errors else 0, one.client.ask
+
+    async def ask(order: orders.Order, *given: Any, **more: Any) -> Any:
+        nonlocal left
+        if isinstance(order, orders.Land) and left:
+            left -= 1
+            raise errors[what]
+        return await asked(order, *given, **more)
+
+    one.client.ask = ask  # type: ignore[method-assign]  # for this test
+    async with pilot["a1"].control(stop="land") as control:
+        if what == "of a take-off":
+            taking_off = asyncio.ensure_future(control.take_off())
+            await rig.until(lambda: one.client.state.task)
+            taking_off.cancel()
+        else:
+            await control.take_off()
+        if what == "of a mission":
+            await control.missions.start(await control.missions.upload(away(one, 30, 90)))
+    assert left == 0
+    assert one.height < 0.1
+    assert one.client.holder.number == 0
+
+
+async def test_a_stop_ends_the_landing_at_the_end_of_a_block(rig: Rig) -> None:
+    one, pilot = await rig.aircraft("a1"), await rig.pilot()
+    asked, refused = one.client.ask, 0
+
+    async def ask(order: orders.Order, *given: Any, **more: Any) -> Any:
+        nonlocal refused
+        if isinstance(order, orders.Land) and not refused:
+            refused += 1
+            raise TaskRefused("another task ends")
+        return await asked(order, *given, **more)
+
+    one.client.ask = ask  # type: ignore[method-assign]  # for this test
+    with pytest.raises(GuardRefused, match="STOP was pressed after land was asked for"):
+        async with pilot["a1"].control(stop="land") as control:
+            await control.take_off()
+            stopping = asyncio.ensure_future(rig.until(lambda: refused))
+            stopping.add_done_callback(lambda _: one.agent.background.spawn(one.agent.stop(), ""))
+    before = one.height
+    await anyio.sleep(4.0)
+    assert one.height == pytest.approx(before, abs=0.5)
+
+
+async def test_a_program_whose_steps_are_blocks_does_not_fly_on_after_a_stop(rig: Rig) -> None:
+    """It did not hear of it: the STOP came between two of them."""
+    one, pilot, other = await rig.aircraft("a1"), await rig.pilot(), await rig.pilot("other")
+    await pilot["a1"].take_off()
+    await anyio.sleep(1.0)
+    await one.agent.stop()
+    await anyio.sleep(1.0)
+    for take_over in (False, True):
+        with pytest.raises(GuardRefused, match="STOP was pressed after acquire lease was asked"):
+            async with pilot["a1"].control(take_over=take_over) as control:
+                control.send(NORTH)
+        assert one.client.holder.number == 0
+        if not take_over:
+            await anyio.sleep(0.1)
+            await one.agent.stop()  # once more
+    async with pilot["a1"].control() as control:  # it has heard of it
+        control.send(NORTH)
+    async with other["a1"].control():  # it began behind the STOP
+        pass
+    await pilot["a1"].stop()  # its own
+    async with pilot["a1"].control():
+        await anyio.sleep(0.1)
+        await one.agent.stop()
+    with pytest.raises(GuardRefused, match="STOP was pressed"):
+        await pilot["a1"].take_off()
 
 
 async def test_of_two_pilots_one_has_it_and_a_take_over_ends_the_other(rig: Rig) -> None:

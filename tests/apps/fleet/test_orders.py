@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from contextlib import suppress
 from dataclasses import replace
 from random import Random
 from typing import Any
@@ -11,8 +12,11 @@ import anyio
 import pytest
 
 from m100link.apps.agent import orders
+from m100link.apps.agent.client import AgentClient
+from m100link.apps.agent.control_session import ControlSession
 from m100link.apps.agent.lease import Flown
 from m100link.apps.agent.messages import MessageError, State
+from m100link.apps.agent.transports import memory_channels
 from m100link.apps.fleet.client import Fleet, FleetAircraft
 from m100link.apps.fleet.order_log import MemoryOrderLog
 from m100link.apps.fleet.payloads import Outcome
@@ -44,6 +48,49 @@ async def test_an_aircraft_that_takes_off_is_landed(rig: Rig, after: float) -> N
     for _ in range(100):
         await anyio.sleep(0.1)
         assert one.height < 0.1, "it stays where it is wanted"
+
+
+@pytest.mark.parametrize("after", [0.0, 0.001, 0.05, 0.3, 0.6, 1.0])
+async def test_a_landing_is_true_of_an_aircraft_with_which_a_console_begins_to_take_off(
+    rig: Rig, after: float
+) -> None:
+    """It stands, and the console has control: it asks for a take-off in the same moment."""
+    one, other = await rig.aircraft("a1"), await rig.pilot("other")
+    ours, its = memory_channels(as_bytes=True)
+    one.service.attach(its)
+    async with AgentClient(ours, "console") as console:
+        session = ControlSession(console, "page")
+        await session.obtain()
+
+        async def take_off() -> None:
+            await anyio.sleep(0.3)
+            with suppress(M100Error):
+                await session.ask(orders.TakeOff())
+
+        async with session.kept(), anyio.create_task_group() as group:
+            group.start_soon(take_off)
+            await anyio.sleep(after)
+            assert (await other.land())["a1"].outcome is Outcome.OK
+        assert not session.has_lease
+    for _ in range(50):
+        await anyio.sleep(0.1)
+        assert one.height < 0.1, "it stays where it is wanted"
+
+
+async def test_a_landing_from_before_a_stop_is_not_begun(rig: Rig) -> None:
+    one, pilot, other = await rig.aircraft("a1"), await rig.pilot(), await rig.pilot("other")
+    await pilot["a1"].take_off()
+    asker = other.asker("a1")
+    await asker.ask(orders.AskVersion())  # its clock is known now
+    clock = asker.its_clock.at_least(one.client.now)
+    await anyio.sleep(0.5)
+    await one.agent.stop()
+    with pytest.raises(GuardRefused, match="STOP was pressed after land was asked for"):
+        await asker.ask(orders.Land(), clock=clock)
+    await anyio.sleep(3.0)
+    assert one.height > 1.0
+    assert (await other.land())["a1"].is_ok
+    assert one.height < 0.1
 
 
 async def test_an_aircraft_that_lands_already_is_left_to_land(rig: Rig) -> None:

@@ -206,9 +206,9 @@ def changed_document(old: str, new: str) -> bytes:
         ('"key":""', '"key":"AA E="'),
         ('"key":""', '"key":"AAE=AAE="'),
         ('"key":""', '"key":"_-8="'),
-        ('"key":""}', '"key":""}{}'),
-        ('"key":""}', '"key":""}\0'),
-        ('"key":""}', '"key":"",}'),
+        ('"since":0.0}', '"since":0.0}{}'),
+        ('"since":0.0}', '"since":0.0}\0'),
+        ('"since":0.0}', '"since":0.0,}'),
         ('{"id"', '\ufeff{"id"'),
         ('{"id"', '/**/{"id"'),
     ],
@@ -341,7 +341,7 @@ OLD_LOGS = (
     b'"is_written":false}\n'
 )
 OLD_HELLO = b'\x02{"kind":"Hello","version":1,"name":"5c0f8b1e","at":12.5}'
-BOTH = "version 2 of the fleet's messages came to a program that reads version 3"
+BOTH = "version 2 of the fleet's messages came to a program that reads version 4"
 
 
 @pytest.mark.parametrize(

@@ -66,7 +66,7 @@ def test_the_secret_is_what_the_page_says() -> None:
     order = an_order(ours.public_key().public_bytes_raw())
     agents, secret = agree(order)
     shared = ours.exchange(X25519PublicKey.from_public_bytes(agents))
-    told = b"m100link lease 3\n" + agents + order.document
+    told = b"m100link lease 4\n" + agents + order.document
     assert secret == hmac.new(shared, told, hashlib.sha256).hexdigest()
 
 

@@ -155,14 +155,14 @@ MISSION: dict[str, Any] = {
 
 def test_a_card_has_each_value_under_its_name() -> None:
     payload = pack(card(heard(), task="going home"))
-    assert payload[:1] == b"\x03"
+    assert payload[:1] == b"\x04"
     assert json.loads(payload[1:]) == CARD
     assert unpack(Card, payload) == card(heard(), task="going home")
 
 
 def test_the_card_of_a_mission_has_each_value_under_its_name() -> None:
     payload = pack(mission(heard(), mission_status=5))
-    assert payload[:1] == b"\x03"
+    assert payload[:1] == b"\x04"
     assert json.loads(payload[1:]) == MISSION
 
 
@@ -212,14 +212,14 @@ def test_below_the_ground_is_negative_and_what_nobody_knows_is_null() -> None:
 @pytest.mark.parametrize("firmware", ["1.0", "2.3", "3.1"])
 def test_telemetry_is_version_kind_time_profile_and_the_package(firmware: str) -> None:
     value = known.package(firmware)
-    head = b"\x03\x02" + struct.pack("<dB", 40.25, 3) + firmware.encode()
+    head = b"\x04\x02" + struct.pack("<dB", 40.25, 3) + firmware.encode()
     assert pack(Telemetry(value, firmware, 40.25)) == head + value
     assert unpack_message(head + value) == Telemetry(value, firmware, 40.25)
 
 
 def test_an_event_has_its_fields() -> None:
     payload = pack(Event(7, 12.5, "info", "taken off"))
-    assert payload[:1] == b"\x03"
+    assert payload[:1] == b"\x04"
     told = {"kind": "Event", "number": 7, "at": 12.5, "level": "info", "text": "taken off"}
     assert json.loads(payload[1:]) == told | {"topic": ""}
 
@@ -240,30 +240,31 @@ def test_a_setpoint_is_proved_and_packed_as_the_page_says() -> None:
     proof = hmac.new(b"5e" * 32, data, hashlib.sha256).digest()[:16]
     steer = Steer(17, 40.25, 0.4, SETPOINT)
     token = "5e" * 32
-    assert pack_steer(steer, token, begins=True) == b"\x03" + proof + data
-    assert unpack_steer(b"\x03" + proof + data, {17: token}.get) == (steer, True)
-    assert unpack_steer(b"\x03" + proof + data, {18: token}.get) is None
-    assert unpack_steer(b"\x03" + bytes(16) + data, {17: token}.get) is None
-    assert unpack_steer(b"\x03" + proof + data, {17: "5f" * 32}.get) is None
+    assert pack_steer(steer, token, begins=True) == b"\x04" + proof + data
+    assert unpack_steer(b"\x04" + proof + data, {17: token}.get) == (steer, True)
+    assert unpack_steer(b"\x04" + proof + data, {18: token}.get) is None
+    assert unpack_steer(b"\x04" + bytes(16) + data, {17: token}.get) is None
+    assert unpack_steer(b"\x04" + proof + data, {17: "5f" * 32}.get) is None
 
 
 ORDER = OrderMessage(
     *("0b" * 16, "field", "kite", "anna", 17, 1_795_420_802.25, TakeOff(), 83.25, "anna"),
     key=bytes(range(32)),
+    since=80.5,
 )
 DOCUMENT = (
     '{"id":"' + "0b" * 16 + '","site":"field","aircraft":"kite","by":"anna","fence":17,'
     '"at":1795420802.25,"order":{"kind":"TakeOff"},"clock":83.25,"signer":"anna",'
-    '"key":"AAECAwQFBgcICQoLDA0ODxAREhMUFRYXGBkaGxwdHh8="}'
+    '"key":"AAECAwQFBgcICQoLDA0ODxAREhMUFRYXGBkaGxwdHh8=","since":80.5}'
 ).encode()
 
 
 def test_an_order_is_what_the_page_says() -> None:
-    assert pack(ORDER) == b"\x03" + bytes(64) + bytes(16) + DOCUMENT
+    assert pack(ORDER) == b"\x04" + bytes(64) + bytes(16) + DOCUMENT
     assert ORDER.digest == hashlib.sha256(DOCUMENT).digest()[:16]
     proof = hmac.new(b"secret", DOCUMENT, hashlib.sha256).digest()[:16]
     payload = pack(ORDER.under("secret"))
-    assert payload == b"\x03" + bytes(64) + proof + DOCUMENT
+    assert payload == b"\x04" + bytes(64) + proof + DOCUMENT
     assert unpack(OrderMessage, payload) == ORDER.under("secret")
     assert unpack(OrderMessage, payload).proves("secret")
     assert not ORDER.under("secret").proves("another")

@@ -59,7 +59,7 @@ class Foreigner:
 
     async def ask(self, what: str, payload: bytes = b"") -> dict[str, Any]:
         [answer] = await self._bus.ask(f"m100/{SITE}/a1/{what}", payload, timeout=2.0)
-        assert answer.payload[0] == 3
+        assert answer.payload[0] == 4
         found: dict[str, Any] = json.loads(answer.payload[1:])
         return found
 
@@ -79,12 +79,13 @@ class Foreigner:
         told: dict[str, Any] = {"order": asked, "signer": self._signer, "by": "Jürgen"}
         told |= {"id": uuid.uuid4().hex, "site": SITE, "aircraft": "a1", "fence": fence}
         told |= {"at": self._utc(), "clock": clock, "key": base64.b64encode(key).decode()}
+        told["since"] = 0.0
         # Its own order of names, its own spaces, and letters as they are.
         self.document = document = json.dumps(told, indent=1, ensure_ascii=False).encode()
         proof = hmac.digest(token.encode(), document, "sha256")[:16] if token else bytes(16)
-        signed = b"m100link order 3\n" + proof + document
+        signed = b"m100link order 4\n" + proof + document
         signature = KEY.sign(signed) if self._signer else bytes(64)
-        return told["id"], b"\x03" + signature + proof + document
+        return told["id"], b"\x04" + signature + proof + document
 
     async def do(self, what: str, asked: dict[str, Any], **around: Any) -> dict[str, Any]:
         identity, payload = self.order(asked, **around)
@@ -100,7 +101,7 @@ class Foreigner:
         told = await self.do("lease", message, key=half.public_key().public_bytes_raw())
         agents = base64.b64decode(told["key"])
         shared = half.exchange(X25519PublicKey.from_public_bytes(agents))
-        about = b"m100link lease 3\n" + agents + self.document
+        about = b"m100link lease 4\n" + agents + self.document
         return told["number"], hmac.digest(shared, about, "sha256").hex()
 
 
@@ -127,7 +128,7 @@ async def test_by_the_page_alone_somebody_flies_and_stops(rig: Rig) -> None:
         values = (anyio.current_time() + ahead, 0.2, 0x40, 3.0, 0.0, 0.0, 0.0)
         data = bytes([number == 0]) + struct.pack("<BQddB4d", 1, lease[0], *values)
         assert len(data) == 59
-        setpoints.put(b"\x03" + hmac.digest(lease[1].encode(), data, "sha256")[:16] + data)
+        setpoints.put(b"\x04" + hmac.digest(lease[1].encode(), data, "sha256")[:16] + data)
         await anyio.sleep(0.05)
     assert one.speed > 2.5
     assert (await anna.do("cmd", {"kind": "Stop"}))["outcome"] == "ok"
@@ -146,12 +147,12 @@ def test_the_example_of_the_page_is_an_order_that_is_proved_and_signed() -> None
         name: re.sub(r"\s", "", part) for name, part in zip(names[::2], names[1::2], strict=True)
     }
     document = parts["document"].encode()
-    payload = b"\x03" + bytes.fromhex(parts["signature"] + parts["proof"]) + document
+    payload = b"\x04" + bytes.fromhex(parts["signature"] + parts["proof"]) + document
     assert f"The payload has {len(payload)} bytes" in text
     order: OrderMessage = unpack(OrderMessage, payload)
     assert order.order == orders.TakeOff()
     assert order.proves("5e" * 32)
-    KEY.public_key().verify(order.signature, b"m100link order 3\n" + order.proof + document)
+    KEY.public_key().verify(order.signature, b"m100link order 4\n" + order.proof + document)
     assert f"`{order.digest.hex()}`" in text
     assert pack(order) == payload
 
@@ -163,7 +164,7 @@ async def test_telemetry_is_what_the_page_says(rig: Rig) -> None:
     await rig.until(lambda: len(heard) > 20)
     for payload in heard:
         version, kind, _, length = struct.unpack_from("<BBdB", payload)
-        assert (version, kind, payload[11 : 11 + length]) == (3, 2, b"1.0")
+        assert (version, kind, payload[11 : 11 + length]) == (4, 2, b"1.0")
 
 
 def keys() -> dict[str, str]:

@@ -19,7 +19,7 @@ from m100link.apps.agent import orders
 from m100link.apps.agent.background import TaskSet, call_each, goes_on, ignore
 from m100link.apps.agent.lease import Flown, Lease, LeaseChange, LeaseManager, TakeOver
 from m100link.apps.agent.messages import EventTopic, Journal, PlanChanged
-from m100link.apps.agent.orders import ORDERS, SETPOINT_LIFETIME, Needs, Order
+from m100link.apps.agent.orders import ORDERS, SETPOINT_LIFETIME, AfterStop, Needs, Order
 from m100link.apps.agent.server.authority import (
     ActivationManager,
     AuthorityManager,
@@ -47,7 +47,8 @@ _LEASE_CHECK = 0.1
 # could renew.
 _LONGEST_STEP = 0.3
 
-_LOST_MEANWHILE = "control was lost meanwhile"
+_LOST_MEANWHILE, _STOPPED = "control was lost meanwhile", "STOP was pressed"
+_LEAVES_S = 0.05  # in which the stop of a mission has left, before anybody hears of a STOP
 _PAUSE_S = 1.0  # without a setpoint; the next one is meant anew, though not after STOP
 
 _LOST = (LeaseChange.EXPIRED, LeaseChange.FRONT_LOST)
@@ -108,7 +109,8 @@ class Agent:
         self._keep_authority = keep_authority
         # Ends a time in which authority is held for nobody.
         self._unclaimed: asyncio.TimerHandle | None = None
-        # Why no stream of setpoints flies on: its sender has to begin anew. Empty: it may.
+        # Why no stream of setpoints flies on, and no order that moves, but for a loss: their sender
+        # has to begin anew. Empty: it may.
         self._begin_anew, self._steered_at = "", 0.0
         self._stopped_at = -math.inf  # when STOP came last, s
         self.holding.on_lost.append(self._authority_lost)
@@ -248,6 +250,8 @@ class Agent:
                 self.leases.check(token, self.now)
         elif order.needs is not Needs.NOTHING:
             self.leases.renew(token, self.now)
+        if order.after_stop is AfterStop.ANEW and self._begin_anew != _LOST_MEANWHILE:
+            self._require_anew(f"{order.label} that is asked for next is not begun")
         if at < self._stopped_at and isinstance(order, orders.Halt):
             token = ""  # it begins nothing anew
         return HANDLERS[type(order)](OrderContext(self, token, accepted), order)
@@ -299,23 +303,28 @@ class Agent:
         is_new = since > _PAUSE_S and self.holding.has_authority
         if is_new and self._begin_anew == _LOST_MEANWHILE:
             self._begin_anew = ""
-        if self._begin_anew:
-            raise GuardRefused(
-                f"{self._begin_anew}; setpoints that go on are not flown",
-                guard="stopped",
-                cause="the sender has not begun anew since",
-                remedy="ask for control again; at a page, let go of the keys",
-            )
+        self._require_anew("setpoints that go on are not flown")
         flying, is_held = self.holding.flying, self.holding.state is HoldingState.HELD
         if self.connection.aircraft is None or not (flying and is_held and flying.has_authority):
             self.connection.require_aircraft()  # which says why, if the line is lost
             flying = self.holding.require()
         flying.steer(setpoint, lifetime)
 
+    def _require_anew(self, what: str) -> None:
+        if self._begin_anew:
+            raise GuardRefused(
+                f"{self._begin_anew}; {what}",
+                guard="stopped",
+                cause="the sender has not begun anew since",
+                remedy="look at the aircraft, then ask for control again; at a page, let go of the "
+                "keys, or press again",
+            )
+
     def hover(self, why: str = "", token: str = "") -> None:
         """Have it hover; anybody may call this at any time. A task goes on in the autopilot.
 
-        With the token of the lease it says that the holder let go: setpoints fly again after STOP.
+        With the token of the lease it says that the holder let go: setpoints and orders fly again
+        after STOP.
         """
         if self.holding.flying is not None:
             try:
@@ -332,6 +341,13 @@ class Agent:
         warn("Agent.halt is hover now", DeprecationWarning, stacklevel=2)
         self.hover(why, token)
 
+    def ordered_to_hover(self, order: orders.Halt, token: str) -> None:
+        """Hover for a client; one without the lease ends the stream of its holder as STOP does."""
+        holder = self.leases.holder(self.now)
+        if holder is not None and token != holder.token and self._begin_anew != _STOPPED:
+            self._begin_anew = "a hover was ordered"
+        self.hover(order.why, token if order.begins_anew else "")
+
     def _authority_lost(self, _: AuthorityLost) -> None:
         """The pilot or the app has the aircraft: the present stream does not go on afterwards."""
         self._begin_anew = self._begin_anew or _LOST_MEANWHILE
@@ -339,9 +355,9 @@ class Agent:
     async def stop(self) -> None:
         """Stop whatever happens: motion, program, and the task that the aircraft flies.
 
-        Setpoints that somebody goes on sending are refused until the holder of the lease lets go
-        (:meth:`hover` under it) or asks for control once more (:meth:`obtain`), or somebody else
-        gets the lease.
+        Setpoints that somebody goes on sending, and orders that move, are refused until the holder
+        of the lease lets go (:meth:`hover` under it) or asks for control once more
+        (:meth:`obtain`), or somebody else gets the lease.
 
         No command ends a task: giving control authority back is all that this side can do. It
         ends a mission, too, that does not answer its stop.
@@ -350,21 +366,25 @@ class Agent:
             NotObserved: The aircraft may fly on by itself: it does not confirm that it has control
                 authority back.
         """
-        self._begin_anew = "STOP was pressed"
+        self._begin_anew = _STOPPED
         try:
             self._stopped_at = self.now
             self.leases.void_take_overs()
             flying = self.holding.flying
             landing = flying.mission if flying and flying.mission.is_landing else None
             is_in_task = landing is not None or (flying is not None and flying.is_in_task)
+            stopping: list[asyncio.Task[None]] = []
             try:
                 if landing is None:
                     self.hover("stop")
-            finally:
+                else:
+                    # As long as it counts as flown by plan, authority would not be given back.
+                    stopping.append(self.background.spawn(landing.let_go(), "stop of a mission"))
+                    await asyncio.wait(stopping, timeout=_LEAVES_S)
+            finally:  # behind it: a slow listener delays no stop
                 self.journal.note("stop", topic=EventTopic.STOPPED)
-            if landing is not None:
-                # As long as it counts as flown by plan, authority would not be given back.
-                await landing.let_go()
+            if stopping:
+                await stopping[0]
                 self.hover("stop")
             if flying is not None and not await self._is_rid_of_missions(flying):
                 is_in_task = True
@@ -508,7 +528,7 @@ HANDLERS: dict[type[Order], Callable[[OrderContext, Any], Any]] = {
     orders.RenewLease: lambda call, one: call.leases.renew(one.token, call.agent.now),
     orders.AskTakeOver: lambda call, one: call.leases.ask_take_over(one.name, call.agent.now),
     orders.ConfirmTakeOver: lambda call, one: call.leases.confirm(one.token, call.agent.now),
-    orders.Halt: lambda call, one: call.agent.hover(one.why, call.token),
+    orders.Halt: lambda call, one: call.agent.ordered_to_hover(one, call.token),
     orders.Stop: lambda call, _: call.agent.stop(),
     orders.Activate: _activate,
     orders.AskVersion: _version,
@@ -517,7 +537,8 @@ HANDLERS: dict[type[Order], Callable[[OrderContext, Any], Any]] = {
     orders.TakeOff: lambda call, _: call.flying.fly(Task.TAKE_OFF, call.accepted),
     orders.Land: lambda call, _: call.flying.fly(Task.LAND, call.accepted),
     orders.GoHome: lambda call, _: call.flying.fly(Task.GO_HOME, call.accepted),
-    orders.SwitchMotors: lambda call, one: call.flying.switch_motors(on=one.on),
+    orders.StartMotors: lambda call, _: call.flying.switch_motors(on=True),
+    orders.StopMotors: lambda call, _: call.flying.switch_motors(on=False),
     orders.FlyPattern: _fly_pattern,
     **dict.fromkeys(
         orders.GuidedOrder.__args__, lambda call, one: call.flying.guide(one, call.accepted)

@@ -199,9 +199,11 @@ class ActiveFlight:
 
     async def switch_motors(self, *, on: bool) -> None:
         """Start or stop the motors on the ground; ends a program."""
-        name = "arm" if on else "disarm"
-        self._end_program(f"{name} was asked for")
-        self._last = None
+        if on:
+            self._make_room("arm")
+        else:  # whatever flies as far as is known here: somebody may stand beside the blades
+            self._end_program("disarm was asked for")
+            self._last = None
         self._has_armed = self._has_armed or on
         await (self._control.arm() if on else self._control.disarm())
         self._has_armed = on
@@ -211,8 +213,7 @@ class ActiveFlight:
 
     def start_pattern(self, name: str, fly: Pattern) -> None:
         """Let a program fly, until it ends, the stick is moved, or anything stops it."""
-        self.mission.require_none(name)
-        self._end_program("another one begins")
+        self._make_room(name)
         self._pattern = (name, self._background.spawn(self._run_pattern(name, fly), name))
 
     async def _run_pattern(self, name: str, fly: Pattern) -> None:
@@ -255,8 +256,7 @@ class ActiveFlight:
         With ``begun``, which is called when it has begun, this is done when the mission is over,
         and raises the error that ended it.
         """
-        self._end_program("a mission was asked for")
-        self._last = None
+        self._make_room("a waypoint mission")
         over = await self.mission.start(plan, take_off=take_off)
         if begun is not None:
             begun()
@@ -264,8 +264,7 @@ class ActiveFlight:
 
     async def start_hotpoint(self, request: HotpointStart) -> None:
         """Let the aircraft fly around a place; done when it has begun. Ends a program."""
-        self._end_program("a hotpoint was asked for")
-        self._last = None
+        self._make_room("a hotpoint")
         await self.mission.circle(request)
 
     async def order_mission(self, what: MissionOrder) -> None:

@@ -87,14 +87,12 @@ class ActiveMission:
 
         Returns its end: done when all of it was flown, or with the error that ended it before.
         """
-        self.require_none("a waypoint mission")
         flight = self._control.waypoint_mission(plan, take_off=take_off)
         self._ends_by_landing = plan.at_end in (AtEnd.GO_HOME, AtEnd.LAND)
         return await self._begin(flight, f"mission of {len(plan.waypoints)} waypoints")
 
     async def circle(self, request: HotpointStart) -> None:
         """Let it fly around a place; done when the aircraft has begun."""
-        self.require_none("a hotpoint")
         # A front may send any number: one that is no CircleStart would be a ValueError below.
         for problem in request.problems():
             raise problem.error(request.NAME)

@@ -377,7 +377,8 @@ class ClientSession:
     def _begin(self, ask: Ask) -> Any:
         token = self._tokens.get(ask.fence, "")
         accepted = partial(self._answer, ask, Stage.ACCEPTED) if ask.hears_begin else ignore
-        return self._agent.begin(ask.order, token, accepted, ask.sent_at or math.inf)
+        asked_at = math.inf if ask.sent_at is None else ask.sent_at
+        return self._agent.begin(ask.order, token, accepted, asked_at)
 
     def _answer(
         self, ask: Ask, stage: Stage, error: M100Error | None = None, answer: Answer = None

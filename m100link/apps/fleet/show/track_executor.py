@@ -384,7 +384,7 @@ class TrackExecutor:
         if self._leave == "land" and control.has_control:
             try:
                 async with control.kept():
-                    await control.ask(orders.Land())
+                    await control.bring_down(orders.Land(), self._client.now)
             except M100Error as error:
                 self._client.note(f"show: {error.seen}", "error")
         control.let_go()

@@ -193,11 +193,11 @@ class FlightModeManager:
 
     def _call_off(self, mode: Mode, why: str) -> None:
         """A landing asked for on the ground does not take off first."""
-        self._tell(Severity.WARNING, f"the take-off is called off: {why}")
         self._settle()
         self._mode, self.operator = mode, None
         self._current, self.running = CancelTakeOff(), FlightSource.NOTHING
         self.orders.append(self._current)
+        self._tell(Severity.WARNING, f"the take-off is called off: {why}")
 
     def _start(self, request: ModeRequest, now: float) -> MavResult:
         if request.mode in _TO_THE_GROUND and self._can_be_called_off:
@@ -422,8 +422,8 @@ class FlightModeManager:
         elif self._idle_since is None:
             self._idle_since = now
         elif now - self._idle_since >= IDLE_S and not isinstance(self._current, ReleaseControl):
-            self._tell(Severity.NOTICE, f"disarmed: no take-off in {IDLE_S:g} s")
             self._disarm()
+            self._tell(Severity.NOTICE, f"disarmed: no take-off in {IDLE_S:g} s")
 
     def _stream(self, phase: VehiclePhase, now: float) -> None:
         stream = self._streams[self._mode]
@@ -449,18 +449,18 @@ class FlightModeManager:
 
     def interrupt(self, why: str) -> None:
         """Hover, whatever the aircraft flies by itself: authority goes back, which ends it."""
-        self._tell(Severity.WARNING, why)
         self._begin(ModeRequest(Mode.HOLD, HoldPosition(is_interrupting=True, why=why)))
+        self._tell(Severity.WARNING, why)
 
     def hold(self, why: str) -> None:
         """The bridge itself wants a hover, and says why."""
-        self._tell(Severity.WARNING, why)
         if self.phase is VehiclePhase.ARMED:
             self._settle()
         elif self.running is FlightSource.TAKE_OFF:
             self._waiting, self._mode = ModeRequest(Mode.HOLD, HoldPosition(why=why)), Mode.HOLD
         else:
             self._begin(ModeRequest(Mode.HOLD, HoldPosition(why=why)))
+        self._tell(Severity.WARNING, why)
 
     @property
     def flies_mission(self) -> bool:
@@ -491,8 +491,8 @@ class FlightModeManager:
         elif phase is VehiclePhase.ARMED or (
             phase is VehiclePhase.DISARMED and self._arming is not None
         ):
-            self._tell(Severity.WARNING, f"{lost.name} is lost: disarmed")
             self._disarm()
+            self._tell(Severity.WARNING, f"{lost.name} is lost: disarmed")
         elif phase is VehiclePhase.AIRBORNE and self.running not in (
             FlightSource.LAND,
             FlightSource.GO_HOME,

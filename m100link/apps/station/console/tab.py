@@ -19,7 +19,7 @@ from enum import StrEnum
 from typing import Any, TypeGuard
 
 from m100link.apps.agent.background import ignore
-from m100link.apps.agent.client import AgentClient
+from m100link.apps.agent.client import PRESSED_AT, AgentClient
 from m100link.apps.agent.control_session import ControlSession, ControlState, Terms
 from m100link.apps.agent.latency import (
     MAX_LATE,
@@ -39,7 +39,7 @@ BEAT_LIFETIME = 0.3  # seconds that a beat lasts
 SPENT_AFTER = 1.0
 """Seconds of the page without a beat after which it has let go of everything by itself."""
 
-TERMS = Terms(activates=False, who="this page", remedy="obtain control first")
+TERMS = Terms(activates=False, begins_anew=True, who="this page", remedy="obtain control first")
 
 # Why a hand that still holds a key has to let go, by the state of control.
 _HAS_TO_LET_GO = {
@@ -171,6 +171,7 @@ class Tab:
                 cause="the network between the browser and the station was slow or blocked",
                 remedy="look at the aircraft, then press again",
             )
+        PRESSED_AT.set(now - late)  # what the task of this press asks for was wanted then
 
     # -- what its socket says --------------------------------------------------------------------
 
@@ -290,6 +291,8 @@ class Tab:
     def _refused(self, error: M100Error) -> None:
         self.refused += 1
         self.refusal = error
+        if isinstance(error, GuardRefused) and error.guard == "stopped":
+            self._has_to_let_go = error.seen.partition(";")[0]  # STOP, or somebody else's hover
         now = self._agent.now
         self._press.refused(error, now)
         if now - self._complained_at >= _COMPLAINT_PAUSE:

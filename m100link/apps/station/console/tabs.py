@@ -93,10 +93,10 @@ class Tabs:
         was any, and given back when the other page is not there within :data:`MOVE_PATIENCE`.
         """
         agent, name = tab.agent, tab.session.name
-        if tab.session.has_lease:
+        if lease := tab.session.lease:
             flies = agent.state.task or agent.state.mission not in ("", "no mission")
             if not flies:
-                agent.hover(f"{name} turned to {to}")
+                agent.hover(f"{name} turned to {to}", lease)
             agent.note(
                 f"{name} turned to {to} and keeps control: "
                 + ("the mission or task that it flies goes on" if flies else "it hovers")

@@ -332,7 +332,9 @@ class PayloadTopics:
         wanted = call.request["arm"]
         if wanted > 1:
             raise UsageError("arm is 1 (start the motors) or 0 (stop them)")
-        answer = await self._clients.order(call, orders.SwitchMotors(on=bool(wanted)))
+        answer = await self._clients.order(
+            call, orders.StartMotors() if wanted else orders.StopMotors()
+        )
         return answer | {"cmd_set": Arm.ADDRESS[0], "cmd_id": Arm.ADDRESS[1]}
 
 

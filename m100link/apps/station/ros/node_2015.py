@@ -189,8 +189,8 @@ class Node2015:
             raise UsageError("/sdk_request_simple_task takes a number")
         number = int(data)
         if number < 0:
-            if self._clients.session(session).has_lease:
-                self._agent.hover("its client stopped it")
+            if lease := self._clients.session(session).lease:
+                self._agent.hover("its client stopped it", lease)
         elif number == 5:
             await self._activate(session)
         elif number == 6:

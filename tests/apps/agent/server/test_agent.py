@@ -9,6 +9,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext, suppress
+from functools import partial
 from itertools import product
 from random import Random
 from types import FrameType
@@ -20,16 +21,24 @@ from m100link.aircraft import Aircraft
 from m100link.apps.agent import orders
 from m100link.apps.agent.background import ignore
 from m100link.apps.agent.lease import Flown, LeaseChange, LeaseRefused
-from m100link.apps.agent.orders import ChangeHeight
+from m100link.apps.agent.orders import ORDERS, ChangeHeight
 from m100link.apps.agent.server.authority import HoldingState
 from m100link.apps.agent.server.connection import ConnectionState
-from m100link.errors import GuardRefused, M100Error, NoAuthority, NotObserved, UsageError
+from m100link.errors import (
+    GuardRefused,
+    M100Error,
+    NoAuthority,
+    NotObserved,
+    TaskRefused,
+    UsageError,
+)
 from m100link.missions.plan import Waypoint, WaypointPlan
 from m100link.protocol.commands.gimbal import GimbalAngle
 from m100link.protocol.commands.hotpoint import HotpointStart
 from m100link.protocol.records import Device
 from m100link.protocol.setpoint import Setpoint
 from tests.apps.agent.conftest import Rig, airborne, guided
+from tests.apps.agent.examples import example
 from tests.rig import put_in_the_air
 
 pytestmark = pytest.mark.anyio
@@ -87,7 +96,7 @@ async def test_without_the_lease_nothing_moves(rig: Rig, token: str) -> None:
         rig.agent.ask(orders.SendToMobile(b"x"), token),
         rig.agent.ask(orders.Activate(), token),
         rig.agent.ask(ChangeHeight(5.0), token),
-        rig.agent.ask(orders.SwitchMotors(False), token),
+        rig.agent.ask(orders.StopMotors(), token),
         rig.agent.ask(orders.PointGimbal(GimbalAngle(yaw_deg=10.0)), token),
         rig.agent.ask(orders.UseCamera(orders.CameraUse.PHOTO), token),
         rig.agent.ask(orders.UploadPlan.of(PLAN), token),
@@ -132,13 +141,13 @@ async def test_a_stop_ends_motors_that_idle_on_the_ground(after: float) -> None:
     async with Rig(firmware="3.1").running() as rig:
         await rig.agent.ask(orders.Obtain(), rig.token)
         async with anyio.create_task_group() as group:
-            group.start_soon(rig.agent.ask, orders.SwitchMotors(on=True), rig.token)
+            group.start_soon(rig.agent.ask, orders.StartMotors(), rig.token)
             await anyio.sleep(after)
             await rig.agent.stop()
         await anyio.sleep(1.0)
         assert not rig.aircraft.vehicle.flight.dynamics.motors_on
         await rig.agent.ask(orders.Obtain(), rig.token)
-        await rig.agent.ask(orders.SwitchMotors(on=True), rig.token)
+        await rig.agent.ask(orders.StartMotors(), rig.token)
         for _ in range(40):
             rig.agent.steer(rig.token, UP)
             await anyio.sleep(0.05)
@@ -177,19 +186,94 @@ async def test_what_was_asked_before_a_stop_and_comes_after_it_moves_nothing(rig
     agent, asked_at = rig.agent, rig.agent.now
     await anyio.sleep(0.1)
     await agent.stop()
-    for order in (orders.Obtain(), orders.FlyPattern(1), ChangeHeight(5.0), orders.AcquireLease()):
+    for kind in ORDERS.values():  # one rule for all of them
+        order = example(kind)
+        if kind.after_stop is orders.AfterStop.DONE:
+            continue
         with pytest.raises(GuardRefused, match=f"STOP was pressed after {order.label} was asked"):
             agent.begin(order, rig.token, ignore, asked_at)
     agent.begin(orders.Halt(), rig.token, ignore, asked_at)
     with pytest.raises(GuardRefused, match="STOP was pressed"):
         agent.steer(rig.token, NORTH)
     agent.begin(orders.RenewLease(rig.token), "", ignore, asked_at)
-    await agent.begin(orders.Land(), rig.token, ignore, asked_at)
-    assert rig.aircraft.height < 0.1
     await agent.begin(orders.Release(), rig.token, ignore, asked_at)
     assert not rig.holding.has_authority
     await agent.begin(orders.Obtain(), rig.token, ignore, agent.now)
     assert rig.holding.has_authority
+    with pytest.raises(GuardRefused, match="STOP was pressed after land was asked"):
+        agent.begin(orders.Land(), rig.token, ignore, asked_at)
+    await agent.begin(orders.Land(), rig.token, ignore, agent.now)
+    assert rig.aircraft.height < 0.1
+
+
+@pytest.mark.parametrize("kind", ORDERS.values(), ids=ORDERS)
+async def test_a_program_that_did_not_hear_of_a_stop_does_not_fly_on(
+    rig: Rig, kind: type[orders.Order]
+) -> None:
+    """Its next step is an order after the STOP: what moves waits until it has begun anew."""
+    await airborne(rig)
+    agent = rig.agent
+    await agent.stop()
+    flies = (
+        *("TakeOff", "GoHome", "FlyPattern", "StartMotors", "StartMission", "ResumeMission"),
+        *("SetMissionSpeed", "StartHotpoint", "SetHotpointRadius", "SetHotpointRate"),
+        *("ResetHotpointHeading", "FlyTo", "FlyAround", "ChangeHeight", "ChangeHeading"),
+    )
+    assert (kind.after_stop is orders.AfterStop.ANEW) == (kind.__name__ in flies)
+    if kind.__name__ not in flies:
+        return
+    with pytest.raises(GuardRefused, match=f"STOP was pressed; {kind.label} that is asked") as met:
+        agent.begin(example(kind), rig.token, ignore, agent.now)
+    assert met.value.guard == "stopped"
+    await agent.ask(orders.Obtain(), rig.token)
+    going = agent.begin(ChangeHeight(5.0), rig.token, ignore, agent.now)
+    going.close()
+
+
+async def test_a_hover_of_somebody_else_ends_the_stream_and_the_holders_own_does_not(
+    rig: Rig,
+) -> None:
+    await airborne(rig)
+    agent = rig.agent
+    for again in (partial(agent.ask, orders.Obtain()), None):
+        agent.steer(rig.token, NORTH)
+        await agent.ask(orders.Halt("its own"), rig.token)
+        agent.steer(rig.token, NORTH)
+        await agent.ask(orders.Halt("of somebody"))
+        for _ in range(30):
+            with pytest.raises(GuardRefused, match="a hover was ordered; setpoints that go on"):
+                agent.steer(rig.token, NORTH)
+            await anyio.sleep(0.05)
+        with pytest.raises(GuardRefused, match="a hover was ordered; change of height"):
+            await agent.ask(ChangeHeight(5.0), rig.token)
+        await agent.ask(orders.Halt("its own"), rig.token)
+        with pytest.raises(GuardRefused, match="a hover was ordered"):
+            agent.steer(rig.token, NORTH)
+        if again is not None:
+            await again(rig.token)
+        else:
+            await agent.ask(orders.Halt("let go", begins_anew=True), rig.token)
+    agent.steer(rig.token, NORTH)
+
+
+@pytest.mark.parametrize(
+    "order",
+    [
+        orders.FlyPattern(1),
+        orders.StartMotors(),
+        orders.StartHotpoint(example(orders.StartHotpoint).circle),
+    ],
+    ids=lambda one: one.label,
+)
+async def test_what_would_be_flown_beside_a_task_is_refused(rig: Rig, order: orders.Order) -> None:
+    """A program of setpoints over a landing ends it, or is ended by it: nobody meant either."""
+    await airborne(rig)
+    async with anyio.create_task_group() as group:
+        group.start_soon(rig.agent.ask, orders.Land(), rig.token)
+        await anyio.sleep(0.2)
+        with pytest.raises(TaskRefused, match="was asked for during land"):
+            await rig.agent.ask(order, rig.token)
+    assert rig.aircraft.height < 0.1
 
 
 @pytest.mark.parametrize("pauses", [True, False])

@@ -13,6 +13,7 @@ import pytest
 
 from m100link.apps.agent import orders
 from m100link.apps.agent.lease import Flown, LeaseRefused
+from m100link.apps.agent.messages import Event, EventTopic
 from m100link.apps.agent.orders import GuidedOrder
 from m100link.apps.agent.server.authority import HoldingState
 from m100link.errors import (
@@ -67,7 +68,7 @@ async def test_one_program_ends_another(rig: Rig) -> None:
     await anyio.sleep(0.1)
     assert rig.holding.pattern == "second"
     told = [event.text for event in rig.agent.journal.events]
-    assert "first ended: another one begins" in told
+    assert "first ended: second was asked for" in told
 
 
 async def test_a_program_that_is_over_says_so_and_makes_way(rig: Rig) -> None:
@@ -273,7 +274,16 @@ async def test_stop_ends_the_way_to_the_ground_behind_a_mission(
     await mission(rig, away(rig, 30, 40, at_end=at_end))
     await rig.until(lambda: rig.holding.require().mission.is_landing, within=60.0)
     await anyio.sleep(1.0)
+    received, told = rig.aircraft.autopilot.received_commands, list[bool]()
+    before = len(list(received))
+
+    def hear(event: Event) -> None:
+        if event.topic is EventTopic.STOPPED:  # a slow listener would delay what comes next
+            told.append(len(list(received)) > before)
+
+    rig.agent.journal.on_event.append(hear)
     await rig.agent.stop()
+    assert told == [True], "the stop had left"
     await anyio.sleep(3.0)
     height = rig.aircraft.height
     await anyio.sleep(10.0)

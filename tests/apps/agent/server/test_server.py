@@ -408,7 +408,7 @@ async def test_gimbal_camera_and_motors_by_messages() -> None:
         camera = rig.aircraft.vehicle.camera
         await rig.until(lambda: camera.is_recording)
         assert camera.photos == 1
-        front.send(Ask(18, orders.SwitchMotors(on=True)))
+        front.send(Ask(18, orders.StartMotors()))
         fault = (await front.outcome(18, Stage.FAILED)).fault
         assert fault is not None
         assert not rig.aircraft.vehicle.flight.dynamics.motors_on
@@ -572,8 +572,8 @@ def begun() -> None:
         (orders.TakeOff(), ("fly", Task.TAKE_OFF, begun)),
         (orders.Land(), ("fly", Task.LAND, begun)),
         (orders.GoHome(), ("fly", Task.GO_HOME, begun)),
-        (orders.SwitchMotors(on=True), ("switch_motors", ("on", True))),
-        (orders.SwitchMotors(on=False), ("switch_motors", ("on", False))),
+        (orders.StartMotors(), ("switch_motors", ("on", True))),
+        (orders.StopMotors(), ("switch_motors", ("on", False))),
         (orders.SetHotpointRadius(12.345), ("set_radius", 12.345, ("wait", False))),
         (
             orders.SetHotpointRate(-7.525),

@@ -634,6 +634,29 @@ async def test_a_button_that_was_pressed_before_stop_and_came_after_it_is_refuse
     browser.tab.check_order(1000 * rig.agent.now)
 
 
+async def test_a_press_counts_from_when_it_was_made_in_the_page(rig: Rig) -> None:
+    """The STOP came between press and arrival, and this station has not heard of it."""
+    browser = await airborne(rig)
+    tab, said_at = browser.tab, 1000 * rig.agent.now
+    await anyio.sleep(0.3)
+    await rig.agent.stop()
+    await anyio.sleep(0.3)
+    rig.front.stopped_at = -math.inf
+
+    async def pressed() -> None:
+        tab.check_order(said_at)
+        await tab.session.ask(orders.GoHome())
+
+    # As each button does, in a task of its own.
+    assert not await rig.front.background.spawn(tab.attempt(pressed), "go home")
+    assert tab.refusal is not None
+    assert "STOP was pressed after" in tab.refusal.seen
+    said_at = 1000 * rig.agent.now
+    going = rig.front.background.spawn(tab.attempt(pressed), "go home")
+    await rig.until(lambda: rig.front.state.task)  # the operator saw the STOP, and begins anew
+    going.cancel()
+
+
 async def test_stop_is_heard_from_a_page_that_is_slow(rig: Rig) -> None:
     browser = await airborne(rig)
     await browser.hold(1.0, x=-8)

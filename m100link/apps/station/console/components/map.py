@@ -285,7 +285,8 @@ class ClickPart:
 
     async def _hover(self) -> None:
         self._orders += 1  # an end that was asked for is not a problem
-        self._page.agent.hover(f"{self._page.tab.session.name}: hover")
+        session = self._page.tab.session
+        self._page.agent.hover(f"{session.name}: hover", session.lease)
 
     # -- what is shown ---------------------------------------------------------------------------
 
