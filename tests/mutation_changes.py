@@ -78,7 +78,7 @@ class RemoveStatement(Operator):
         if node.type != "simple_stmt":
             return
         statement = node.children[0]
-        code = statement.get_code().strip()
+        code = statement.get_code(include_prefix=False)  # without the comment before it
         is_call = statement.type in ("atom_expr", "power") and not code.startswith("_logger.")
         is_kept = statement.type == "expr_stmt" and code.startswith("self.")
         if is_call or is_kept or statement.type == "raise_stmt":

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import gc
 import re
+import tomllib
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from functools import cache
@@ -309,5 +310,18 @@ def test_no_assertion_holds_of_anything() -> None:
         for path in programs("tests")
         for node in ast.walk(tree(path))
         if isinstance(node, ast.Assert) and holds_of_anything(node.test)
+    ]
+    assert found == []
+
+
+def test_each_explained_mutation_is_of_a_line_that_is_there() -> None:
+    """Whoever changes such a line looks whether the explanation is still right."""
+    table = tomllib.loads((ROOT / "tests/mutation_survivors.toml").read_text("utf-8"))
+    found = [
+        f"{entry['module']}: {line}"
+        for entries in table.values()
+        for entry in entries
+        for line in entry["lines"]
+        if line not in map(str.strip, (ROOT / entry["module"]).read_text("utf-8").splitlines())
     ]
     assert found == []
