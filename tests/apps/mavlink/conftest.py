@@ -189,6 +189,7 @@ class Rig:
             self.ground.beat()
             await self.until(lambda: bool(self.ground.all("HOME_POSITION")))
             yield self
+            assert self.bridge.unsent == 0, "a number did not fit into its field"
             self.work.cancel()
         self.driver.stop()
 
