@@ -129,8 +129,10 @@ async def test_messages_go_both_ways_in_order() -> None:
             front.channel.send(note)
         await until(lambda: len(agent.inbox) == 500)
         assert agent.inbox == notes
-        agent.channel.send(Event(1, 0.0, "info", "hello"))
-        await until(lambda: front.inbox == [Event(1, 0.0, "info", "hello")])
+        told: list[Message] = [Event(1, 0.0, "info", "hello"), Telemetry(bytes(9), "1.0", 2.0)]
+        for one in told:
+            agent.channel.send(one)
+        await until(lambda: front.inbox == told)
         front.channel.close()
 
 
@@ -209,6 +211,9 @@ async def test_an_end_that_does_not_read_loses_telemetry_and_then_the_connection
         front = await connect_unix(path)  # never opened: it does not read
         await until(lambda: hasattr(agent, "channel"))
         package = Telemetry(bytes(1000), "1.0", 0.0)
+        for _ in range(DROP_ABOVE // 2000):
+            agent.channel.send(package)
+        assert agent.channel.dropped == 0
         for _ in range(2 * DROP_ABOVE // 1000):
             agent.channel.send(package)
         assert agent.channel.dropped > 0
