@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import random
 from dataclasses import replace
 from typing import Any
@@ -87,6 +88,20 @@ def test_what_goes_in_comes_out(value: OrderMessage | OrderReply | Card) -> None
     payload = pack(value)
     assert payload[0] == VERSION
     assert unpack(type(value), payload) == value
+
+
+def test_what_is_not_said_is_nothing_or_the_least() -> None:
+    card = Card("a1", "boot", 1.8e9)
+    assert (card.connection, card.fence, card.has_authority) == ("connecting", 0, False)
+    assert (card.lost, card.lost_after) == ("hover", 10.0)
+    reply = OrderReply("0" * 32, "a1", "boot", Progress.DONE)
+    assert (reply.outcome, reply.is_repeated) == (Outcome.UNKNOWN, False)
+    assert (reply.number, reply.clock) == (0, 0.0)
+
+
+def test_what_is_no_number_cannot_be_sent() -> None:
+    with pytest.raises(MessageError, match="Card cannot be sent"):
+        pack(Card("a1", "boot", math.nan))
 
 
 def test_telemetry_is_the_wire_value_and_fourteen_bytes() -> None:

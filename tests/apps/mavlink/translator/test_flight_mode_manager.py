@@ -405,6 +405,19 @@ def test_a_mission_of_somebody_who_is_gone_is_shown_and_ends_when_it_is_armed() 
     assert "is stopped" in told[-1][1]
 
 
+@pytest.mark.parametrize(
+    ("phase", "mission"),
+    [(VehiclePhase.AIRBORNE, ""), (VehiclePhase.ARMED, "waypoint mission")],
+)
+def test_arming_stops_nothing_but_a_mission_in_the_air(phase: VehiclePhase, mission: str) -> None:
+    manager, world, told = manager_in(phase)
+    known: Any = world.known
+    known.state, known.is_connected = State(at=0.0, mission=mission), True
+    manager._arming = order = ObtainControl(PEER.name)
+    manager.armed(order, None, 0.0)
+    assert (manager.orders, told) == ([], [])
+
+
 def test_what_ends_late_means_nothing() -> None:
     manager, _, told = manager_in(VehiclePhase.AIRBORNE)
     first = FlightSequence((ChangeHeight(5.0),))

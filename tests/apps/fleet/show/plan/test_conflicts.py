@@ -277,6 +277,21 @@ def test_one_that_stands_above_may_come_down_and_one_below_does_not_rise() -> No
     assert rest.meets([(20.0, 0.0, 0.0)], 3.0, 0.0) is None
 
 
+def test_a_turn_between_two_moments_of_a_long_show_is_not_overlooked() -> None:
+    """Of 8192 s every other second is looked at; at 21 s it is 1.25 m further than at 20 and 22."""
+    points = (0, 0, 0, 4), (17, 0, 0, 4), (21, 8, 0, 4), (25, 0, 0, 4), (8192, 0, 0, 4)
+    found = RestOfTrack(track("a1", *points)).meets([(10.9, 0.0, 4.0)], 3.0, 0.0)
+    assert found == pytest.approx(21.0, abs=0.4)
+
+
+@pytest.mark.parametrize("least", [-0.1, 1000.1, math.nan])
+def test_what_is_no_distance_between_two_is_refused(least: float) -> None:
+    for right in (0.0, 1000.0):
+        assert neighbours(right).least_m == right
+    with pytest.raises(BadShow, match="0 to 1000 m"):
+        neighbours(least)
+
+
 def test_no_place_that_a_track_comes_near_to_is_overlooked() -> None:
     """Against looking at each hundredth of a second."""
     seed = random.randrange(1 << 32)
