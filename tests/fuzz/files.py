@@ -423,7 +423,7 @@ def keys(path: Path) -> None:
 def read_show(data: bytes) -> None:
     """A show; its tracks are written and read again."""
     for flown in Show.parse(data).tracks:
-        _same(TimedTrack.from_bytes(flown.to_bytes()), flown)
+        assert TimedTrack.from_bytes(flown.to_bytes()) == flown, "another track is read"
         flown.moment(flown.begin + 1.0)
         assert min(flown.fastest) >= 0.0
 
