@@ -114,6 +114,8 @@ async def test_what_ends_everything_ends_a_mission(rig: Rig, program: Program, n
     if name != "~/go_home":
         assert rig.speed < 2.0  # a landing comes down
     assert rig.client.state.mission in ("", "no mission")
+    if name in ("~/land", "~/go_home"):
+        await rig.until(lambda: not rig.motors_on, 120.0)
 
 
 async def test_speeds_are_not_flown_meanwhile(rig: Rig, program: Program) -> None:
