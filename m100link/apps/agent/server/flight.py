@@ -129,6 +129,14 @@ class ActiveFlight:
 
         A take-off, landing or go-home goes on in the autopilot.
         """
+        try:
+            self._end_setpoints()
+        finally:  # behind it, in the same turn: both report
+            self.mission.end(why or "hover was ordered")
+            self._end_program(why or "hover was ordered")
+
+    def _end_setpoints(self) -> None:
+        """The neutral instead of the setpoint in force, which may live for a second more."""
         last, self._last = self._last, None
         try:
             if last is not None:
@@ -138,9 +146,6 @@ class ActiveFlight:
             self._background.spawn(self._control.stop(), "neutral")
         except M100Error:
             pass  # without authority nothing moves
-        finally:  # behind it, in the same turn: both report
-            self.mission.end(why or "hover was ordered")
-            self._end_program(why or "hover was ordered")
 
     # -- tasks -----------------------------------------------------------------------------------
 
@@ -170,7 +175,7 @@ class ActiveFlight:
             )
         self.mission.require_none(name)
         self._end_program(f"{name} was asked for")
-        self._last = None
+        self._end_setpoints()
 
     async def _fly(self, task: Task, name: str, accepted: Callable[[], None]) -> None:
         control = self._control
@@ -203,7 +208,7 @@ class ActiveFlight:
             self._make_room("arm")
         else:  # whatever flies as far as is known here: somebody may stand beside the blades
             self._end_program("disarm was asked for")
-            self._last = None
+            self._end_setpoints()
         self._has_armed = self._has_armed or on
         await (self._control.arm() if on else self._control.disarm())
         self._has_armed = on

@@ -628,3 +628,30 @@ async def test_no_memory_as_a_flight_ends_lets_nothing_fly_on(
         await anyio.sleep(agent.leases.remaining(agent.now) + 0.5)
         assert holding.pattern is None, number
         assert holding.state is HoldingState.NONE, number
+
+
+@pytest.mark.parametrize("ends", ["STOP", "hover", "lease"])
+@pytest.mark.parametrize(
+    "order",
+    [orders.FlyTo(10.0, 10.0, 10.0), orders.ChangeHeight(1e6), orders.StartHotpoint(HOTPOINT)],
+    ids=lambda order: order.label,
+)
+async def test_a_setpoint_does_not_outlive_an_end_behind_an_order_that_was_refused(
+    rig: Rig, order: orders.Order, ends: str
+) -> None:
+    """It may live for a second, and the order that replaces it is refused at once."""
+    await airborne(rig)
+    rig.agent.steer(rig.token, NORTH, 1.0)
+    await anyio.sleep(0.1)
+    with pytest.raises(M100Error):
+        await rig.agent.ask(order, rig.token)
+    if ends == "STOP":
+        await rig.agent.ask(orders.Stop())
+    elif ends == "hover":
+        rig.agent.hover("somebody")
+    else:
+        rig.renewing.cancel()
+        rig.agent.leases.release(rig.token, rig.agent.now)
+    await anyio.sleep(0.1)
+    newest = rig.aircraft.autopilot.received_movements[-1]
+    assert (newest.roll_or_x, newest.pitch_or_y, newest.throttle_or_z) == (0.0, 0.0, 0.0)
