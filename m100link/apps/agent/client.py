@@ -10,6 +10,7 @@ import asyncio
 import math
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
 from enum import Enum
@@ -48,7 +49,7 @@ from m100link.apps.agent.messages import (
 )
 from m100link.apps.agent.orders import SETPOINT_LIFETIME
 from m100link.apps.agent.transports import Channel
-from m100link.errors import AuthorityLost, BadPlan, LayoutMismatch, M100Error
+from m100link.errors import AuthorityLost, BadPlan, LayoutMismatch, M100Error, NotObserved
 from m100link.link.link import require_loop
 from m100link.missions.plan import WaypointPlan
 from m100link.protocol.codes import ActivationCode
@@ -278,6 +279,7 @@ class AgentClient:
         #: Time of the newest STOP that was heard of, s by this clock. Older orders are refused, and
         #: keys that a person released before it do not undo the STOP.
         self.stopped_at = -math.inf
+        self._stops = 0  # how many were heard of
         # Time of the last event of the agent before, whose events another way tells again.
         self._known_until = -math.inf
         self._handlers: dict[type[Any], Callable[[Any], None]] = {
@@ -426,6 +428,7 @@ class AgentClient:
         self.events.append(event)
         if event.topic is EventTopic.STOPPED:
             self.stopped_at = self._clock()
+            self._stops += 1
         call_each(self.on_event, event)
 
     def _on_lease_changed(self, message: LeaseChanged) -> None:
@@ -553,6 +556,17 @@ class AgentClient:
     async def stop(self) -> None:
         """Stop whatever happens: motion, program, and the task that the aircraft flies."""
         await self.ask(orders.Stop())
+
+    async def end_task(self, asked_at: float) -> float:
+        """End the task that flies, by a STOP that is a step of an order of that time, s.
+
+        Returns the time that the next steps say: this STOP overtakes none of them, and another one
+        since then, pressed by a person, overtakes all.
+        """
+        stops = self._stops - (self.stopped_at > asked_at)
+        with suppress(NotObserved):  # the next step shows whether it flies on
+            await self.stop()
+        return self._clock() if self._stops <= stops + 1 else asked_at
 
     def note(self, text: str, level: str = "info") -> None:
         """Add an event to the agent's journal; many at once are dropped."""

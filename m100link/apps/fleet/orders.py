@@ -228,6 +228,5 @@ class OrderService:
         while client.state.task == Flown.LAND.value:  # noqa: ASYNC110 - no event says it
             await asyncio.sleep(_LOOK_S)
         if client.state.task:
-            await client.stop()  # nothing else ends a task
-            return client.now
+            return await client.end_task(asked_at)
         return None if client.view.is_on_ground and not self._underway else asked_at

@@ -192,8 +192,7 @@ class OrderExecutor:
             LinkError, NoAuthority: See each class.
         """
         if is_interrupting:
-            await self._agent.stop()
-            self._asked_at = self._agent.now  # a STOP of its own overtakes nothing
+            self._asked_at = await self._agent.end_task(self._asked_at)
             # A stop keeps it where no task is known.
             await self._ask(orders.Release(), lease)
             await self._ask(orders.Obtain(), lease)

@@ -245,3 +245,35 @@ async def test_a_stop_ends_the_way_home_that_is_asked_for_again_and_again(
         await descent
     await anyio.sleep(4.0)
     assert one.height == pytest.approx(before, abs=0.5)
+
+
+@pytest.mark.parametrize("after", [0.01, 0.05])
+async def test_a_stop_beside_the_one_that_ends_a_task_ends_the_way_home(
+    rig: Rig, after: float
+) -> None:
+    """The aircraft's own STOP, which makes room for the way home, is not taken for a person's."""
+    one = await rig.aircraft("a1")
+    await one.agent.ask(orders.Activate())
+    token = one.agent.leases.acquire("somebody", one.agent.now).token
+    await one.agent.ask(orders.Obtain(), token)
+    one.client.background.spawn(one.agent.ask(orders.TakeOff(), token), "take-off")
+    await rig.until(lambda: one.height > 0.3)
+    one.agent.leases.renew(token, one.agent.now)
+    stopped: list[float] = []
+    stop = one.agent.stop
+
+    async def noted() -> None:
+        stopped.append(one.agent.now)
+        await anyio.sleep(0.1)  # authority takes a while to go back
+        await stop()
+
+    one.agent.stop = noted  # type: ignore[method-assign]  # for this test
+    descent = one.client.background.spawn(
+        one.fleet_agent._orders.descend(orders.GoHome(), "operator lost"), "way home"
+    )
+    await rig.until(lambda: bool(stopped))
+    await anyio.sleep(after)
+    await stop()
+    with pytest.raises(GuardRefused, match="STOP was pressed after"):
+        await descent
+    assert one.agent.holding.task is None

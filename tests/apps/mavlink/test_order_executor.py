@@ -519,6 +519,27 @@ async def test_a_stop_before_the_way_home_has_begun_ends_it(late: float, after: 
         await assert_hovers(rig)
 
 
+@pytest.mark.parametrize("after", [0.005, 0.04, 0.1])
+@pytest.mark.parametrize("late", [0.0, 0.1])
+async def test_a_stop_beside_the_one_that_ends_a_landing_is_not_taken_for_it(
+    late: float, after: float
+) -> None:
+    """To go home, the bridge ends its landing by a STOP of its own."""
+    async with Rig(firmware="3.1", late=late).running() as rig:
+        await begin(rig, rig.ground, FAR)
+        rig.ground.set_mode_now(Mode.LAND)
+        await rig.until(lambda: rig.agent.holding.task == "land")
+        rig.aircraft.set_faults(LineFaults(delay=0.05))  # authority takes a while to go back
+        await anyio.sleep(0.5)
+        rig.ground.set_mode_now(Mode.RTL)
+        await anyio.sleep(after)
+        await rig.agent.stop()
+        await anyio.sleep(3.0)
+        assert rig.agent.holding.task is None
+        assert not has_begun(rig.agent, "go home")
+        assert rig.speed < 0.5
+
+
 async def test_a_stop_after_the_take_off_ends_the_climb_that_follows(rig: Rig) -> None:
     hears_late(rig.channels[1], 0.3)
     await rig.ground.arm()
