@@ -547,7 +547,8 @@ def _towards(
         north, east = remaining[0] * scale, remaining[1] * scale
         return Setpoint.position_offset(north=north, east=east, height=height, yaw_deg=heading)
     scale = min(BRAKING_PER_S, speed / distance) if distance else 0.0
-    north, east = remaining[0] * scale, remaining[1] * scale
+    # Rounded up, 10 m/s due north would be more than a setpoint takes.
+    north, east = (max(-speed, min(speed, offset * scale)) for offset in remaining)
     return Setpoint.velocity(north=north, east=east, height=height, yaw_deg=heading)
 
 

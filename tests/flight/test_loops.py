@@ -9,6 +9,7 @@ import pydoc
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from dataclasses import replace
+from random import Random
 from typing import Any, assert_type
 
 import pytest
@@ -29,7 +30,7 @@ from m100link import (
     UsageError,
 )
 from m100link.flight.guidance import GuidanceProgress
-from m100link.flight.loops import ClosedLoops
+from m100link.flight.loops import ClosedLoops, _towards
 from m100link.geodesy import LocalFrame
 from m100link.missions.patterns import survey
 from m100link.protocol.commands.control import Move
@@ -608,3 +609,14 @@ async def test_a_program_that_stood_still_reads_what_arrived_before_it_calls_it_
             assert arrival.distance_m < 1.0
         stand_still()  # between two of them
         assert (await control.fly_to(north=3.0, east=0.0, up=0.0)).distance_m < 1.0
+
+
+@pytest.mark.parametrize("bearing_deg", [0, 90, 180, 270])
+def test_the_greatest_speed_is_a_setpoint_in_every_direction(bearing_deg: int) -> None:
+    """A setpoint takes up to 10 m/s; rounded up it would end the flight."""
+    chance = Random(f"fastest {bearing_deg}")
+    for _ in range(2_000):
+        far, bearing = chance.uniform(25.0, 500.0), math.radians(bearing_deg)
+        remaining = far * math.cos(bearing), far * math.sin(bearing)
+        made = _towards(remaining, chance.choice((far, math.hypot(*remaining))), 10.0, 0.0, 10.0)
+        assert made.mode is not None
