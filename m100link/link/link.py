@@ -28,6 +28,7 @@ from m100link.link.transport import open_transport
 from m100link.link.url import ConnectionString, parse_url
 from m100link.session.endpoint import Endpoint
 from m100link.session.events import Acked, Event, Expired, SessionMode
+from m100link.session.latency import Latency
 from m100link.wire.cipher import Cipher
 from m100link.wire.frame import Frame
 
@@ -154,6 +155,11 @@ class Link(asyncio.Protocol):
         return self._transport is not None and self._failure is None
 
     @property
+    def is_serial(self) -> bool:
+        """Whether it is a serial port, which brings what is sent at once."""
+        return self._transport is not None and bool(self._transport.get_extra_info("serial"))
+
+    @property
     def descriptor(self) -> int | None:
         """The open file of the line, None where it has none: in memory, or polled."""
         return None if self._failure else descriptor_of(self._transport)
@@ -182,7 +188,13 @@ class Link(asyncio.Protocol):
             expired=sessions.expired,
             round_trips=self._round_trips,
             missed_setpoints=self._missed_setpoints,
+            round_trip_s=self.latency.round_trip_s,
         )
+
+    @property
+    def latency(self) -> Latency:
+        """How long answers take on this line, as measured."""
+        return self._endpoint.sender.latency
 
     def missed(self, setpoints: int) -> None:
         """Count setpoints that did not go out in their time."""
@@ -210,7 +222,8 @@ class Link(asyncio.Protocol):
             name: Word for the command in errors.
             mode: ``RELIABLE`` or ``ACK_ONCE``.
             encrypted: Encrypt the data.
-            timeout: Seconds to wait after each transmission.
+            timeout: Seconds to wait after each transmission; after the last one at least as long
+                as answers take on this line.
             tries: Transmissions in all; 1 with ``ACK_ONCE``.
 
         Returns:
@@ -428,6 +441,8 @@ class Link(asyncio.Protocol):
                 f"nothing has come from the aircraft for {silent_s:.1f} s: "
                 "it stands still, or the line from it is broken"
             )
+        elif self.latency.is_slow:
+            cause += f"; {self.latency}"
         return AckTimeout(
             f"no ack of {name} after {event.tries} tries; its outcome is unknown",
             command=name,

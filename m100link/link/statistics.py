@@ -78,6 +78,8 @@ class LinkStatistics:
         expired: Requests that ran out of tries.
         round_trips: How long answered requests took.
         missed_setpoints: Setpoints that did not go out in their time: the program did not keep up.
+        round_trip_s: What a question and its answer take on this line, s: the shortest of the
+            newest eight; None before the first answer.
     """
 
     bytes_received: int
@@ -95,6 +97,7 @@ class LinkStatistics:
     expired: int
     round_trips: RoundTrips
     missed_setpoints: int = 0
+    round_trip_s: float | None = None
 
 
 # -- A tap on a line shows the bytes of both directions, with their times --------------------------

@@ -9,6 +9,7 @@ from heapq import heappop, heappush
 
 from m100link.errors import UsageError
 from m100link.session.events import Acked, Event, Expired, SessionMode, SessionStatistics
+from m100link.session.latency import Latency
 from m100link.wire.cipher import Cipher
 from m100link.wire.frame import MAX_SESSION, Frame, FrameDecoder, encode_frame
 
@@ -275,6 +276,8 @@ class _Request:
     session: int = -1  # its session, -1 while it waits for one
     sequence: int = -1  # its number, the same for every repeat: by it the other end knows a repeat
     tries: int = 0
+    first_at: float = 0.0  # when it was transmitted first, and when last
+    last_at: float = 0.0
     deadline: float = 0.0  # when it is repeated, or ends
     wire: bytes = b""  # its frame: a repeat is the same bytes again
     # Nobody wants its end any more; it holds its session until then all the same.
@@ -291,6 +294,7 @@ class Sender:
 
     Attributes:
         cipher: Encrypts requests that ask for it. May be set at any time.
+        latency: How long acks took lately, those that came too late included.
         output: Frames to write, oldest first; the writer takes them out.
     """
 
@@ -299,6 +303,7 @@ class Sender:
     ) -> None:
         self.cipher: Cipher | None = None
         self.statistics = statistics or SessionStatistics()
+        self.latency = Latency()
         self._sequence = first_sequence & 0xFFFF  # the next number that any session would take
         self._tokens = 0  # given out so far
         # By session and number, as an ack names what it answers.
@@ -308,8 +313,9 @@ class Sender:
         self._free = list(RELIABLE_SESSIONS)  # a heap: the lowest comes first
         # Per session the numbers that the other end may have an ack stored for.
         self._taken: dict[int, set[int]] = {}
-        # Requests that ended lately, and whether by an ack: a second ack of one is not foreign.
-        self._finished: OrderedDict[tuple[int, int], bool] = OrderedDict()
+        # Requests that ended lately: when one that no ack ended was first sent, None for the
+        # others. A second ack of one is not foreign.
+        self._finished: OrderedDict[tuple[int, int], float | None] = OrderedDict()
         self.output: deque[bytes] = deque()
         self._events: deque[Expired] = deque()
 
@@ -337,7 +343,8 @@ class Sender:
         """Begin a request; it ends in one :class:`Acked` or :class:`Expired` event.
 
         A reliable request takes the lowest free session, or waits its turn when all thirty are
-        busy; its time-out runs from each transmission.
+        busy; its time-out runs from each transmission. After the last transmission it waits for at
+        least as long as answers take on this line (:class:`~m100link.session.latency.Latency`).
 
         Args:
             data: Data of the frame.
@@ -405,14 +412,17 @@ class Sender:
         address = (session, sequence)
         request = self._in_flight.get(address)
         if request is None:
-            was_answered = self._finished.get(address)
-            if was_answered is None:
+            if address not in self._finished:
                 self.statistics.foreign_acks += 1
-            elif was_answered:
+                return None
+            first_at, self._finished[address] = self._finished[address], None
+            if first_at is None:
                 self.statistics.duplicate_acks += 1
-            else:
+            else:  # by it the next request knows how long to wait
                 self.statistics.late_acks += 1
+                self.latency.note(now - first_at)
             return None
+        self.latency.note(now - request.first_at)
         self._retire(request, was_answered=True)
         # The other end stores the ack of its newest number alone (document 1.4): others are free.
         self._taken[session] = {sequence}
@@ -435,6 +445,10 @@ class Sender:
         for request in [r for r in self._in_flight.values() if r.deadline <= now]:
             if request.tries_left > 0:
                 self._transmit(request, now)
+                continue
+            # Asked now: an ack that came too late may have shown meanwhile how slow the line is.
+            request.deadline = request.last_at + self.latency.wait_s(request.timeout)
+            if request.deadline > now:
                 continue
             self._retire(request, was_answered=False)
             if not request.is_abandoned:
@@ -495,8 +509,11 @@ class Sender:
         self._transmit(request, now)
 
     def _transmit(self, request: _Request, now: float) -> None:
+        if not request.tries:
+            request.first_at = now
         request.tries += 1
         request.tries_left -= 1
+        request.last_at = now
         request.deadline = now + request.timeout
         self.statistics.transmissions += 1
         self.output.append(request.wire)
@@ -505,7 +522,7 @@ class Sender:
         address = (request.session, request.sequence)
         del self._in_flight[address]
         self._by_token.pop(request.token, None)
-        self._finished[address] = was_answered
+        self._finished[address] = None if was_answered else request.first_at
         if len(self._finished) > _REMEMBERED:
             self._finished.popitem(last=False)
         if request.mode is SessionMode.RELIABLE:

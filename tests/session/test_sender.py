@@ -87,10 +87,10 @@ def test_the_time_out_of_a_waiting_request_runs_from_its_transmission() -> None:
     sender = Sender()
     tokens = [sender.request(b"x", now=0, timeout=10, tries=1) for _ in range(31)]
     first = sent(sender)[0]
-    sender.receive_ack(ack(first), 9)
+    sender.receive_ack(ack(first), 6)
     sender.handle_timer(10)
     assert [event.token for event in expired(sender)] == tokens[1:30]
-    assert sender.next_wakeup() == 19
+    assert sender.next_wakeup() == 16
 
 
 def test_session_1_is_used_once_and_never_repeated() -> None:
