@@ -99,7 +99,7 @@ class ConnectableAircraft(VirtualAircraft):
 
     @asynccontextmanager
     async def connect(
-        self, *, firmware: str | FirmwareProfile | None = None, timeout: float = 3.0
+        self, *, firmware: str | FirmwareProfile | None = None, timeout: float | None = None
     ) -> AsyncIterator[Aircraft]:
         """The same as :func:`m100link.connect`, over a cable in memory."""
         link = await self.open_link()

@@ -555,7 +555,7 @@ def supervise(
     *,
     firmware: str | FirmwareProfile | None = None,
     baud_rate: int | None = None,
-    timeout: float = 3.0,
+    timeout: float | None = None,
     back_off: BackOff | None = None,
     random: Random | None = None,
 ) -> Supervised:
@@ -579,7 +579,7 @@ def supervise(
         credentials: App id and key; without them the aircraft is only watched.
         firmware: As there.
         baud_rate: As there.
-        timeout: Seconds until an aircraft has to answer, at each attempt.
+        timeout: As there, at each attempt.
         back_off: Pauses between attempts.
         random: Of the jitter; seed it for the same pauses again.
 

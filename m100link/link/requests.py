@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import math
 from typing import TYPE_CHECKING, TypeVar
 
 from m100link.errors import (
@@ -28,13 +29,16 @@ from m100link.wire.cipher import Cipher
 from m100link.wire.frame import encode_frame
 
 if TYPE_CHECKING:
-    from m100link.link import Link
+    from m100link.link import Link, LinkStatistics
 
 __all__ = ["Requests"]
 
 _logger = logging.getLogger(__name__)
 
 _PROBE_TIMEOUT = 0.3
+_SILENT_S = 3.0  # until an aircraft has to be heard, by a cable
+FIRST_BYTES_S = 8.0  # and by a network, whose first bytes take as long as all others
+LONGEST_S = 15.0  # until one that is heard has to answer: 5 s each way, and lost frames
 _VERSION_TIMEOUT, _VERSION_TRIES = 0.2, 3
 
 A = TypeVar("A")
@@ -175,20 +179,34 @@ class Requests:
         if not self.push(command):
             raise LineBlocked.usual(f"{command.NAME} was not sent: the line takes no more bytes")
 
-    async def find_aircraft(self, timeout: float) -> Version:
+    async def find_aircraft(self, timeout: float | None) -> Version:
         """Ask for the version until the deadline; if none comes, say how far the line reaches.
 
-        Raises ``SilentLine, NoValidFrame, NoAnswer``: no aircraft; each names the cause. Raises
-        ``LinkError, BadAck``: see each class.
+        ``timeout``: seconds; by default 15 for an aircraft that is heard, which takes 3 s by a
+        cable and 8 s by a network. It is one question under one number, repeated: an answer counts
+        however late it comes. Raises ``SilentLine, NoValidFrame, NoAnswer``: no aircraft; each
+        names the cause. Raises ``LinkError, BadAck``: see each class.
         """
-        clock = asyncio.get_running_loop().time
-        deadline = clock() + timeout
-        while (remaining := deadline - clock()) > 0:
-            try:
-                return await self.query_version(timeout=min(_PROBE_TIMEOUT, remaining), tries=1)
-            except AckTimeout:
-                continue
-        raise _no_aircraft(self._link, timeout)
+        loop = asyncio.get_running_loop()
+        began_at = loop.time()
+        longest = timeout or LONGEST_S
+        tries = math.ceil(longest / _PROBE_TIMEOUT) + 1
+        try:
+            async with asyncio.timeout(longest) as limit:
+
+                def look() -> None:
+                    if not _hears_aircraft(self._link.statistics()):
+                        limit.reschedule(loop.time())
+
+                heard_by = _SILENT_S if self._link.is_serial else FIRST_BYTES_S
+                looking = loop.call_later(heard_by, look) if timeout is None else None
+                try:
+                    return await self.query_version(timeout=_PROBE_TIMEOUT, tries=tries)
+                finally:
+                    if looking is not None:
+                        looking.cancel()
+        except (TimeoutError, AckTimeout):
+            raise _no_aircraft(self._link, loop.time() - began_at) from None
 
     def take_recorded(self, version: Version | None, firmware: FirmwareProfile) -> None:
         """Take the recorded answer, and the recorded firmware unless one is forced."""
@@ -274,10 +292,15 @@ class Requests:
         return True
 
 
+def _hears_aircraft(numbers: LinkStatistics) -> bool:
+    """Whether good frames came, and are most of what came."""
+    return bool(numbers.frames_received) and 2 * numbers.discarded_bytes <= numbers.bytes_received
+
+
 def _no_aircraft(link: Link, timeout: float) -> SilentLine | NoValidFrame | NoAnswer:
     """Nobody answered the version query; says how far the line reaches."""
     numbers = link.statistics()
-    where = f"{link.name}, {timeout:g} s"
+    where = f"{link.name}, {timeout:.3g} s"
     received = {
         "bytes_received": numbers.bytes_received,
         "frames_received": numbers.frames_received,
@@ -300,7 +323,7 @@ def _no_aircraft(link: Link, timeout: float) -> SilentLine | NoValidFrame | NoAn
         )
     unanswered = f"{numbers.frames_received} frames arrived, but no answer to a version query"
     # Good frames that waited in the port since another program had it do not make the rate right.
-    if 2 * numbers.discarded_bytes > numbers.bytes_received:
+    if not _hears_aircraft(numbers):
         return NoAnswer(
             f"{unanswered}, and {numbers.discarded_bytes} of {numbers.bytes_received} bytes "
             f"were part of no frame ({where})",
@@ -310,8 +333,9 @@ def _no_aircraft(link: Link, timeout: float) -> SilentLine | NoValidFrame | NoAn
         )
     return NoAnswer(
         f"{unanswered} ({where})",
-        cause="the wire from our TX to the aircraft's RX, or two programs on one port",
-        remedy="check that wire; docs: howto/silent-line",
+        cause="the wire from our TX to the aircraft's RX, two programs on one port, or a line "
+        f"whose answers take longer than {timeout:.2g} s",
+        remedy="check that wire; on a slow line connect(timeout=…); docs: howto/silent-line",
         **received,
     )
 

@@ -394,7 +394,7 @@ def connect(
     *,
     firmware: str | FirmwareProfile | None = None,
     baud_rate: int | None = None,
-    timeout: float = 3.0,
+    timeout: float | None = None,
     tap: Tap | None = None,
     record: str | PathLike[str] | Recording | None = None,
 ) -> Aircraft:
@@ -413,7 +413,8 @@ def connect(
             ``replay://flight.mcap`` for a recorded flight, or a link that is open already.
         firmware: Force a profile by name; by default the version answer chooses it.
         baud_rate: Rate when the URL has none; 230400 by default.
-        timeout: Seconds until an aircraft has to answer.
+        timeout: Seconds until an aircraft has to answer. By default 15 if it is heard within 3 s,
+            by a network within 8 s: the line may be slow.
         tap: Called with the bytes of every read and write, which way they went and when, on the
             event loop's clock: see :data:`m100link.link.Tap`. The activation carries the app id in
             clear.

@@ -36,7 +36,7 @@ def by_url(
     *,
     baud_rate: int | None = None,
     firmware: str | None = None,
-    timeout: float = 3.0,  # seconds until an aircraft has to answer
+    timeout: float | None = None,  # seconds until an aircraft has to answer
     flights: Flights | None = None,  # where connections are recorded
 ) -> Connect:
     """Open a connection string. A firmware profile that there is not is a UsageError at once."""
@@ -51,7 +51,9 @@ def by_url(
     return opened
 
 
-def by_driver(driver: Driver, *, timeout: float = 3.0, flights: Flights | None = None) -> Connect:
+def by_driver(
+    driver: Driver, *, timeout: float | None = None, flights: Flights | None = None
+) -> Connect:
     """Plug into a virtual aircraft of this process; it outlives the connection."""
 
     async def plugged_in() -> Aircraft:

@@ -111,7 +111,7 @@ class Settings:
     url: str | None = None
     baud_rate: int | None = None
     firmware: str | None = None
-    timeout: float = 3.0
+    timeout: float | None = None
     sim: bool = False
     app_id: int | None = None
     key: str | None = field(default=None, repr=False)
