@@ -11,23 +11,30 @@ LONGEST_WAIT_S = 30.0
 """Seconds that an answer is waited for at most, after the last transmission of its request."""
 
 _KEPT = 8  # answers that count: one is asked for every two seconds at least while a line is kept
-_MARGIN = 1.5  # by how much the next answer may take longer than the longest of them
+_MARGIN = 1.5  # by how much the next one may take longer than the longest of them
 
 
 class Latency:
-    """How long the newest eight answers took, from the first transmission of each request.
+    """How long answers took, from the first transmission of each request.
 
-    A lost frame makes such a time longer by the pause before its repeat, never shorter. The
-    shortest of them is what the line takes; the longest decides how long an answer is waited for.
+    A lost frame makes such a time longer by the pause before its repeat, never shorter. So the
+    shortest of the newest eight is what the line takes. An answer is waited for as RFC 6298 has it
+    (mean and four mean deviations), and half as long again as the longest of the eight at least.
     """
 
-    __slots__ = ("_newest",)
+    __slots__ = ("_deviation", "_mean", "_newest")
 
     def __init__(self) -> None:
         self._newest: deque[float] = deque(maxlen=_KEPT)
+        self._mean = self._deviation = 0.0
 
     def note(self, seconds: float) -> None:
         """An answer came, in time or too late."""
+        if not self._newest:
+            self._mean, self._deviation = seconds, seconds / 2
+        else:  # its alpha and beta
+            self._deviation += (abs(seconds - self._mean) - self._deviation) / 4
+            self._mean += (seconds - self._mean) / 8
         self._newest.append(seconds)
 
     @property
@@ -53,4 +60,5 @@ class Latency:
 
     def wait_s(self, least: float) -> float:
         """Seconds to wait for an answer that is usually waited for ``least`` seconds."""
-        return max(least, min(LONGEST_WAIT_S, _MARGIN * max(self._newest, default=0.0)))
+        longest = _MARGIN * max(self._newest, default=0.0)
+        return max(least, min(LONGEST_WAIT_S, max(longest, self._mean + 4 * self._deviation)))

@@ -274,8 +274,9 @@ async def test_what_waited_for_a_session_is_repeated_after_its_own_time_out() ->
     echo(peer, peer.received[0])
     with pytest.raises(AckTimeout, match="after 2 tries"):
         await waiting
-    # Sent at 1.0 and 1.2 s; the one answer so far took 1 s, so the last is waited for 1.5 s.
-    assert now() == pytest.approx(2.7)
+    # Sent at 1.0 and 1.2 s; the one answer so far took 1 s, so the last is waited for three times
+    # as long.
+    assert now() == pytest.approx(4.2)
     await link.close()
     await asyncio.gather(*others, return_exceptions=True)
 

@@ -47,8 +47,19 @@ def test_a_slow_line_is_told_and_waited_for() -> None:
     assert latency.round_trip_s == 1.2
     assert latency.is_slow
     assert str(latency) == "the line is slow: 1.2 s round trip"
-    assert latency.wait_s(0.5) == pytest.approx(1.8)
     assert latency.slack_s == pytest.approx(1.8)
+    assert latency.wait_s(0.5) == pytest.approx(3.6)  # RFC 6298, 2.2: R and four times R / 2
+    for _ in range(20):
+        latency.note(1.2)
+    assert latency.wait_s(0.5) == pytest.approx(1.8)
+
+
+def test_answers_that_scatter_are_waited_for_longer() -> None:
+    latency = Latency()
+    for taken in (1.0, 2.0):
+        latency.note(taken)
+    # RFC 6298, 2.3: the deviation is 3/4 of 0.5 and 1/4 of 1.0, the mean 7/8 of 1 and 1/8 of 2.
+    assert latency.wait_s(0.5) == pytest.approx(1.125 + 4 * 0.625)
 
 
 def test_one_lost_frame_makes_no_line_slow() -> None:
@@ -61,9 +72,10 @@ def test_one_lost_frame_makes_no_line_slow() -> None:
 
 def test_what_was_long_ago_does_not_count() -> None:
     latency = Latency()
-    for taken in (5.0, *[0.02] * 8):
+    for taken in (5.0, *[0.02] * 40):
         latency.note(taken)
     assert latency.wait_s(0.5) == 0.5
+    assert not latency.is_slow
 
 
 def test_no_wait_is_longer_than_half_a_minute() -> None:
@@ -74,7 +86,7 @@ def test_no_wait_is_longer_than_half_a_minute() -> None:
 
 def test_the_last_transmission_is_waited_for_as_long_as_answers_take() -> None:
     sender = Sender()
-    _answers(sender, 2.0)
+    _answers(sender, *[2.0] * 20)
     sender.request(b"y", now=10.0, timeout=0.5, tries=3)
     for now in (10.5, 11.0, 11.5, 13.9):
         sender.handle_timer(now)
@@ -94,7 +106,7 @@ def test_an_ack_that_comes_too_late_is_measured() -> None:
     assert sender.receive_ack(_ack(wire), 4.0) is None
     assert sender.latency.round_trip_s == 4.0
     assert sender.receive_ack(_ack(wire), 9.0) is None  # a second one measures nothing
-    assert sender.latency.wait_s(0.5) == 6.0
+    assert sender.latency.wait_s(0.5) == 12.0
     assert (sender.statistics.late_acks, sender.statistics.duplicate_acks) == (1, 1)
 
 
