@@ -41,13 +41,16 @@ _logger = logging.getLogger(__name__)
 Opener = Callable[[ConnectionString, asyncio.Protocol], Awaitable[asyncio.Transport]]
 """A plug-in transport: an entry point in the group ``m100link.transports``."""
 
-CONNECT_TIMEOUT = 5.0
+CONNECT_TIMEOUT = 12.0  # seconds: a network may take 5 s each way
 
-_TCP_BUFFER = 4096
+_TCP_UNSENT = 4096
 """Bytes of the system for what a host did not take: by default megabytes, and setpoints for half an
 hour, which it would take all at once when it goes on."""
 
-_HOST_GONE_MS = 10_000
+_TCP_BUFFER = 65_536
+"""The same with what is on its way: setpoints of some three seconds, as the system counts them."""
+
+_HOST_GONE_MS = 20_000
 """Without a sign of a host that was sent something, or that takes nothing: the line is lost."""
 
 _LOOK_S = 1.0  # seconds in which the owners of a port are looked for: others are left unnamed
@@ -317,7 +320,12 @@ async def _open_tcp(address: ConnectionString, protocol: asyncio.Protocol) -> as
         ) from error
     transport.set_write_buffer_limits(high=HIGH_WATER)
     options = transport.get_extra_info("socket")
-    options.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _TCP_BUFFER)
+    # Where the two cannot be told apart, the line has to be quick.
+    may_be_slow = hasattr(socket, "TCP_NOTSENT_LOWAT")
+    if may_be_slow:
+        options.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, _TCP_UNSENT)
+    buffer = _TCP_BUFFER if may_be_slow else _TCP_UNSENT
+    options.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, buffer)
     if hasattr(socket, "TCP_USER_TIMEOUT"):  # by default it is found gone after half an hour
         options.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _HOST_GONE_MS)
     return transport
