@@ -6,10 +6,12 @@ from m100link.link.link import Link, open_link
 from m100link.link.statistics import Direction, LinkStatistics, RoundTrips, Tap
 from m100link.link.transport import MemoryTransport, connect_in_memory
 from m100link.link.url import DEFAULT_BAUD_RATE, parse_url
+from m100link.session.events import Latency
 
 __all__ = [
     "DEFAULT_BAUD_RATE",
     "Direction",
+    "Latency",
     "Link",
     "LinkStatistics",
     "MemoryTransport",

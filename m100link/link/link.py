@@ -27,8 +27,7 @@ from m100link.link.statistics import (
 from m100link.link.transport import open_transport
 from m100link.link.url import ConnectionString, parse_url
 from m100link.session.endpoint import Endpoint
-from m100link.session.events import Acked, Event, Expired, SessionMode
-from m100link.session.latency import Latency
+from m100link.session.events import Acked, Event, Expired, Latency, SessionMode
 from m100link.wire.cipher import Cipher
 from m100link.wire.frame import Frame
 

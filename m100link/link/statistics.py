@@ -78,8 +78,8 @@ class LinkStatistics:
         expired: Requests that ran out of tries.
         round_trips: How long answered requests took.
         missed_setpoints: Setpoints that did not go out in their time: the program did not keep up.
-        round_trip_s: What a question and its answer take on this line, s: the shortest of the
-            newest eight; None before the first answer.
+        round_trip_s: Time of a question and its answer on this line, s: the shortest of the newest
+            eight; None before the first answer.
     """
 
     bytes_received: int

@@ -320,7 +320,7 @@ async def _open_tcp(address: ConnectionString, protocol: asyncio.Protocol) -> as
         ) from error
     transport.set_write_buffer_limits(high=HIGH_WATER)
     options = transport.get_extra_info("socket")
-    # Where the two cannot be told apart, the line has to be quick.
+    # Where the system does not distinguish the two, the line has to be quick.
     may_be_slow = hasattr(socket, "TCP_NOTSENT_LOWAT")
     if may_be_slow:
         options.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, _TCP_UNSENT)

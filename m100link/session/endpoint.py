@@ -8,8 +8,14 @@ from dataclasses import dataclass
 from heapq import heappop, heappush
 
 from m100link.errors import UsageError
-from m100link.session.events import Acked, Event, Expired, SessionMode, SessionStatistics
-from m100link.session.latency import Latency
+from m100link.session.events import (
+    Acked,
+    Event,
+    Expired,
+    Latency,
+    SessionMode,
+    SessionStatistics,
+)
 from m100link.wire.cipher import Cipher
 from m100link.wire.frame import MAX_SESSION, Frame, FrameDecoder, encode_frame
 
@@ -344,7 +350,7 @@ class Sender:
 
         A reliable request takes the lowest free session, or waits its turn when all thirty are
         busy; its time-out runs from each transmission. After the last transmission it waits for at
-        least as long as answers take on this line (:class:`~m100link.session.latency.Latency`).
+        least as long as answers take on this line (:class:`~m100link.session.events.Latency`).
 
         Args:
             data: Data of the frame.

@@ -7,7 +7,7 @@ from random import Random
 import pytest
 
 from m100link.session.endpoint import Sender
-from m100link.session.latency import LONGEST_WAIT_S, SLOW_S, Latency
+from m100link.session.events import LONGEST_WAIT_S, SLOW_S, Latency
 from m100link.wire.frame import Frame, FrameDecoder
 
 
