@@ -94,7 +94,12 @@ class ControlBlock:
             guards.guards,
             self.end,
             loop,
-            FollowCheck(commander.state, lambda: setpoints.current, loop.time),
+            FollowCheck(
+                commander.state,
+                lambda: setpoints.current,
+                loop.time,
+                lambda: commander.link.latency.slack_s,
+            ),
         )
 
     @property

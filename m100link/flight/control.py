@@ -92,7 +92,9 @@ class Control:
         self._commander = commander
         self._requests = commander.requests
         self._authority = commander.authority
-        self._guards = GuardKeeper(guards or Guards(), commander.state)
+        self._guards = GuardKeeper(
+            guards or Guards(), commander.state, latency=commander.link.latency
+        )
         mission_guard = MissionGuard(commander)
         self._steering = SetpointSender(commander, self._guards, mission_guard)
         self._setpoints = self._steering.setpoints

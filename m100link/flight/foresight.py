@@ -100,6 +100,7 @@ def foresee_flight(
     place = latitude_deg, longitude_deg
     refusals = _refusals(
         *_always(state, guards, "fly_to"),
+        lambda: guards.check_round_trip("fly_to"),
         lambda: heading_of(state) if yaw_deg is None else None,
         lambda: frame_at(*place),
         lambda: check_speed(speed),
@@ -133,6 +134,7 @@ def foresee_orbit(
 
     refusals = _refusals(
         *_always(state, guards, "orbit"),
+        lambda: guards.check_round_trip("orbit"),
         lambda: frame_at(*place),
         circle,
         lambda: check_height(height),

@@ -20,6 +20,7 @@ from m100link.protocol.setpoint import Horizontal, ReferenceFrame, Setpoint, Ver
 from m100link.telemetry.state import FRESH_S, is_possible
 
 if TYPE_CHECKING:
+    from m100link.link import Latency
     from m100link.telemetry.state import AircraftState
 
 __all__ = ["Envelope", "Guards"]
@@ -52,6 +53,8 @@ def over_ground(forward: float, right: float, attitude: Attitude) -> tuple[float
 GPS_HEALTH_NEEDED = 3  # from this health on the autopilot holds a position (document 2.2.3.1)
 
 MAX_COMMAND_M_S = 10.0  # of velocity setpoints on each axis (document 3.2)
+
+_OFFSET_M_S = 5.0  # as fast as the autopilot flies offsets, at most
 
 STICK_SPEED = 17.0  # m/s by full deflection in P: the fastest that the maker states
 FIRST_VALUES_S = 1.5  # for the first value of an item: that of the battery is sent once a second
@@ -139,6 +142,9 @@ class Guards:
             comes ever later; None switches it off.
         integrity: Control ends when the position cannot be true, or nothing begins to follow the
             setpoints (switch it off for a simulator whose position and velocity disagree).
+        round_trip_s: Flights that are steered by what telemetry shows (``fly_to``, ``fly_path``,
+            ``orbit``, tilt, thrust, sticks) need a line whose answers take no longer, s; None
+            switches it off.
     """
 
     gps: bool = True
@@ -146,6 +152,7 @@ class Guards:
     battery_floor_percent: int | None = 20
     stale_telemetry_s: float | None = 1.0
     integrity: bool = True
+    round_trip_s: float | None = 0.8
 
 
 class GuardKeeper:
@@ -156,10 +163,15 @@ class GuardKeeper:
     """
 
     def __init__(
-        self, guards: Guards, state: AircraftState, origin: LocalFrame | None = None
+        self,
+        guards: Guards,
+        state: AircraftState,
+        origin: LocalFrame | None = None,
+        latency: Latency | None = None,  # of the line; None: nobody measures it
     ) -> None:
         self.guards = guards
         self._state = state
+        self._latency = latency
         self._origin = origin  # where control began; by default where GPS first knows the aircraft
         self._began_at = -math.inf
 
@@ -237,8 +249,37 @@ class GuardKeeper:
             guard = "gps" if self.guards.gps else "envelope"
             raise self._unknown(what, Position, guard=guard, limit=None)
 
+    def check_round_trip(self, what: str) -> None:
+        """Raise ``GuardRefused`` where the line is too slow to steer by what telemetry shows."""
+        limit, latency = self.guards.round_trip_s, self._latency
+        measured = None if latency is None else latency.round_trip_s
+        if limit is None or measured is None or measured <= limit:
+            return
+        raise GuardRefused(
+            f"{what} was refused: {latency}, the limit is {limit:g} s",
+            guard="round_trip_s",
+            measured=measured,
+            limit=limit,
+            cause="what steers by places of so long ago swings around its target, or passes it",
+            remedy="take-off, landing, go-home, missions, climb_to, turn_to and velocities fly at "
+            "any latency; or Guards(round_trip_s=…)",
+        )
+
+    @property
+    def _late_s(self) -> float:
+        """Seconds for which the aircraft flies on when a guard refuses by what it sees."""
+        latency = self._latency
+        if latency is None or not latency.is_slow:
+            return 0.0
+        return latency.round_trip_s or 0.0
+
     def check(self, setpoint: Setpoint) -> None:
         """Raise ``GuardRefused`` unless a setpoint may be sent now."""
+        steers = setpoint.mode
+        if steers.vertical is Vertical.THRUST or (
+            steers.horizontal is Horizontal.TILT and (setpoint.x or setpoint.y)
+        ):
+            self.check_round_trip("a setpoint of tilt or thrust")
         self._check_battery("a setpoint", known(self._state, Battery))
         position = known(self._state, Position)
         # Without GPS the autopilot ignores velocities and offsets, without a notice; tilt it flies.
@@ -258,6 +299,7 @@ class GuardKeeper:
         ``roll``: deflection, -1 to 1, like the others. Raises ``GuardRefused``: with the guard's
         name, the measured value and the limit.
         """
+        self.check_round_trip("moving the sticks")
         deflection = math.hypot(roll, pitch)
         speed = deflection * STICK_SPEED
         envelope = self.guards.envelope
@@ -386,6 +428,8 @@ class GuardKeeper:
                     limit=limit,
                     off="Guards(envelope=Envelope(max_height_m=math.inf))",
                 )
+            if measured is not None and mode is Vertical.VELOCITY:
+                wanted = measured + setpoint.z * self._late_s
         else:
             return  # level or down: the path back below the limit stays open
         if wanted is not None and wanted > limit:
@@ -439,11 +483,12 @@ class GuardKeeper:
         is_offset = setpoint.mode.horizontal is Horizontal.POSITION_OFFSET
         if step is None:  # without a heading it may lead anywhere
             return math.hypot(north, east) + is_offset * math.hypot(setpoint.x, setpoint.y)
+        late = self._late_s * min(math.hypot(*step), _OFFSET_M_S if is_offset else math.inf)
         if is_offset:
-            return math.hypot(north + step[0], east + step[1])
+            return math.hypot(north + step[0], east + step[1]) + late
         # Outside, a velocity or a tilt is allowed only if it does not lead further away.
         is_outward = north * step[0] + east * step[1] > 0
-        return math.hypot(north, east) if is_outward else 0.0
+        return math.hypot(north, east) + late if is_outward else 0.0
 
     def _ground(self, setpoint: Setpoint) -> tuple[float, float] | None:
         """The way of a setpoint as north and east: velocity, offset, or direction of a tilt."""

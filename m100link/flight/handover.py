@@ -152,12 +152,16 @@ def _obstacles(state: AircraftState, firmware: FirmwareProfile) -> list[tuple[st
 
 
 async def release_authority(commander: Commander) -> bool:
-    """Give authority back, within two seconds; returns whether the aircraft said that it has it."""
+    """Give authority back; returns whether the aircraft said that it has it.
+
+    Within two seconds, and on a slow line the time that the answers take.
+    """
     authority = commander.authority
     authority.feed(AuthorityInput.RELEASE)
     outcome = AuthorityInput.NOT_RELEASED
     try:
-        async with asyncio.timeout(_RELEASE_DEADLINE_S):
+        slack = _needed(commander) * commander.link.latency.slack_s
+        async with asyncio.timeout(_RELEASE_DEADLINE_S + slack):
             for attempt in range(_most(commander)):
                 if attempt:
                     await asyncio.sleep(_PAUSE_S)
@@ -174,7 +178,8 @@ async def release_authority(commander: Commander) -> bool:
         outcome = AuthorityInput.RELEASED  # nobody has it before an activation
     except (M100Error, TimeoutError) as error:
         # Not raised: the block ends all the same, and without setpoints the aircraft hovers.
-        _logger.error("control authority may not be released: %s", error)
+        why = str(error) or "the answers came too late"
+        _logger.error("control authority may not be released: %s", why)
     finally:
         authority.feed(outcome)
     return outcome is AuthorityInput.RELEASED

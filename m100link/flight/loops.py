@@ -237,6 +237,7 @@ class ClosedLoops:
             NoAuthority: See :meth:`Control.send`.
         """
         await self._guidance.prepare("fly_to")
+        self._guards.check_round_trip("fly_to")
         here = position_of(self._state)
         place = _place(here, (north, east), frame, (latitude_deg, longitude_deg))
         target = (*place, _target_height(here, up, height))
@@ -319,6 +320,7 @@ class ClosedLoops:
         named, and nothing is sent.
         """
         await self._guidance.prepare("fly_path")
+        self._guards.check_round_trip("fly_path")
         here = position_of(self._state)
         frame = frame or LocalFrame(here.latitude_deg, here.longitude_deg)
         start = frame.to_local(here.latitude_deg, here.longitude_deg)
@@ -457,6 +459,7 @@ class ClosedLoops:
         Raises: as :meth:`fly_to`.
         """
         await self._guidance.prepare("orbit")
+        self._guards.check_round_trip("orbit")
         here = position_of(self._state)
         if frame is None:
             frame = LocalFrame(here.latitude_deg, here.longitude_deg)

@@ -132,6 +132,11 @@ class StopPath:
             raise failed
 
     @property
+    def _slack_s(self) -> float:
+        """Seconds by which telemetry shows an order later than on a quick line."""
+        return self._commander.link.latency.slack_s
+
+    @property
     def _has_authority(self) -> bool:
         return self._commander.authority.state is AuthorityState.HELD
 
@@ -186,7 +191,7 @@ class StopPath:
             )
             return
         # A landing that was under way is awaited as well: the release would leave it in the air.
-        deadline = self._clock() + _LANDING_DEADLINE_S
+        deadline = self._clock() + _LANDING_DEADLINE_S + 2 * self._slack_s
         while self._life.plan.land and self._has_authority and not await self._stands():
             try:
                 # However late it is accepted: once it is, it has all the time of a landing.
@@ -208,7 +213,8 @@ class StopPath:
         if status is not None and status.status != FlightPhase.STANDBY:
             return True
         if take_off_at is not None:  # a "standby" from before it left the ground proves nothing
-            return status_at is None or status_at < take_off_at + _LEAVES_THE_GROUND_S
+            leaves_at = take_off_at + _LEAVES_THE_GROUND_S + self._slack_s
+            return status_at is None or status_at < leaves_at
         if says_why and known(state, FlightStatus) is None:
             _logger.error(
                 "stop='land' did not land: the flight status is %s, and no take-off was commanded",
@@ -221,7 +227,7 @@ class StopPath:
         if not self._is_armed or not self._has_authority or not self._life.plan.neutral:
             return
         # A status from before it could leave the ground proves nothing: a newer one is waited for.
-        deadline = self._clock() + 2 * _LEAVES_THE_GROUND_S
+        deadline = self._clock() + 2 * _LEAVES_THE_GROUND_S + self._slack_s
         while is_on_ground(self._commander.state) and self._may_be_airborne():
             if self._clock() >= deadline:
                 break

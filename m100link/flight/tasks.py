@@ -126,8 +126,9 @@ def run_task(
     progress: TaskListener | None = None,
 ) -> Coroutine[Any, Any, None]:
     """Begin a task and wait until it is done; it raises as :meth:`Control.take_off`."""
-    within = TIMEOUTS_S[task] if timeout is None else timeout
-    return _Watch(commander, task, progress).run(within)
+    if timeout is None:
+        timeout = TIMEOUTS_S[task] + commander.link.latency.slack_s
+    return _Watch(commander, task, progress).run(timeout)
 
 
 async def _begin(commander: Commander, task: Task) -> int:

@@ -124,7 +124,9 @@ class VirtualRc:
             patience_of(guardian),
         )
         self._on_signal = partial(self._end, StopCause.SIGNALLED)
-        self._guards = GuardKeeper(guards or Guards(), commander.state)
+        self._guards = GuardKeeper(
+            guards or Guards(), commander.state, latency=commander.link.latency
+        )
         self._watchdog = TelemetryWatchdog(
             commander.state, self._guards.guards, self._end, self._loop
         )
@@ -231,7 +233,7 @@ class VirtualRc:
 
     async def _see_it_on(self) -> None:
         """Raise ``NotObserved`` unless the control item shows it on, where that is sent."""
-        deadline = self._clock() + _SHOWN_S
+        deadline = self._clock() + _SHOWN_S + self._commander.link.latency.slack_s
         while self._life.is_open and not self._was_shown:
             await asyncio.sleep(_PERIOD_S)
             if self._clock() < deadline:

@@ -84,9 +84,13 @@ _UNSEEN_S = 2.5  # for so long: an aircraft that turns round is within half a me
 
 
 class _Deadline:
-    """Something is asked for, and has to grow by so much within :data:`FOLLOW_S`."""
+    """Something is asked for, and has to grow by so much within :data:`FOLLOW_S`.
 
-    def __init__(self) -> None:
+    ``slack``: seconds that a slow line adds.
+    """
+
+    def __init__(self, slack: Callable[[], float]) -> None:
+        self._slack = slack
         self._since: float | None = None
         self._from = 0.0
         self._asked = _NOWHERE
@@ -107,7 +111,7 @@ class _Deadline:
         if self._since is None or goes_back or seen - self._from >= needed:
             self._since, self._from, self._asked = now, seen, asked
         self._from = min(self._from, seen)
-        return now - self._since >= FOLLOW_S
+        return now - self._since >= FOLLOW_S + self._slack()
 
 
 class FollowCheck:
@@ -122,8 +126,11 @@ class FollowCheck:
         state: AircraftState,
         setpoint: Callable[[], Setpoint | None],  # the one that is being sent; None: none
         clock: Callable[[], float],  # seconds
+        # Seconds by which an order shows later than by a cable.
+        slack: Callable[[], float] = float,
     ) -> None:
         self._state = state
+        self._slack = slack
         self._setpoint = setpoint
         self._clock = clock
         self._looked_at = -math.inf
@@ -131,7 +138,7 @@ class FollowCheck:
         self._begin()
 
     def _begin(self) -> None:
-        self._way, self._climb, self._turn, self._tilt = (_Deadline() for _ in range(4))
+        self._way, self._climb, self._turn, self._tilt = (_Deadline(self._slack) for _ in range(4))
         self._lean: tuple[float, float] | None = None  # north and east, °, when the way began
         self._heading: float | None = None  # when the turn began
         self._rightward = 0.0  # which turn is asked for
@@ -228,7 +235,7 @@ class FollowCheck:
         self._unseen_s = self._unseen_s + passed if self._unseen != _NOWHERE else passed
         self._unseen = self._unseen[0] + asked[0] * passed, self._unseen[1] + asked[1] * passed
         unseen = math.hypot(*self._unseen)
-        if unseen < _UNSEEN_M or self._unseen_s < _UNSEEN_S:
+        if unseen < _UNSEEN_M or self._unseen_s < _UNSEEN_S + self._slack():
             return ""
         return f"setpoints of {unseen:.0f} m were flown, and the position did not change"
 

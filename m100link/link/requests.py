@@ -189,7 +189,7 @@ class Requests:
         """
         loop = asyncio.get_running_loop()
         began_at = loop.time()
-        longest = timeout or LONGEST_S
+        longest = LONGEST_S if timeout is None else timeout
         tries = math.ceil(longest / _PROBE_TIMEOUT) + 1
         try:
             async with asyncio.timeout(longest) as limit:

@@ -138,7 +138,12 @@ class MissionGuard:
         if (ours := self._ours) is not None:
             return ours.state is RunState.UNSTOPPED
         since = self._flying_since
-        return since is not None and since < self._stop_asked_at + _GOES_ON_S
+        return since is not None and since < self._stopped_by
+
+    @property
+    def _stopped_by(self) -> float:
+        """Until when pushes may tell of a mission that this block ordered to stop."""
+        return self._stop_asked_at + _GOES_ON_S + self._commander.link.latency.slack_s
 
     # -- orders to a mission that flies, also somebody else's ------------------------------------
 
@@ -213,7 +218,8 @@ class MissionGuard:
             return True
         # A push from before the start does not show which mission flies since.
         began_at = run.started_at if run is not None and was_ours else -math.inf
-        return self._watch.received_at < began_at + _REPORT_BY_S
+        slack = self._commander.link.latency.slack_s
+        return self._watch.received_at < began_at + _REPORT_BY_S + slack
 
     @property
     def is_of_another(self) -> bool:
@@ -225,7 +231,7 @@ class MissionGuard:
             return False
         if run is not None and (run.is_in_the_air or run.flies_all_the_same):
             return False
-        return since >= self._stop_asked_at + _GOES_ON_S
+        return since >= self._stopped_by
 
     @property
     def to_stop(self) -> MissionKind | None:

@@ -88,7 +88,8 @@ class MissionEnding:
         """Whether pushes went on to tell of the mission, whatever others say between them."""
         since = self._watch.reported_since(self._kind)
         # One that began later is somebody else's.
-        return since is not None and since < self.over_at + _GOES_ON_S
+        slack = self._commander.link.latency.slack_s
+        return since is not None and since < self.over_at + _GOES_ON_S + slack
 
     @property
     def is_way_home_contradicted(self) -> bool:
