@@ -63,6 +63,7 @@ async def info(
             "firmware_summary": aircraft.firmware.summary,
             "telemetry": telemetry_rates(aircraft),
             "telemetry_mismatches": aircraft.telemetry_mismatches,
+            "latency": _latency(aircraft),
             "line": dataclasses.asdict(aircraft.statistics()),
         }
     if wants_json(json):
@@ -82,6 +83,8 @@ def _print_info(described: dict[str, Any]) -> None:
         "telemetry": _arriving(described),
     }
     line = described["line"]
+    if latency := described["latency"]:
+        rows["latency"] = latency
     rows["line"] = (
         f"{line['bytes_received']} bytes, {line['frames_received']} frames, "
         f"{line['discarded_bytes']} bytes discarded {line['discards'] or ''}"
@@ -201,6 +204,12 @@ def telemetry_rates(aircraft: Aircraft) -> dict[str, float | None]:
     return rates
 
 
+def _latency(aircraft: Aircraft) -> str:
+    """How slow the line is; empty for a quick one."""
+    latency = aircraft.link.latency
+    return str(latency) if latency.is_slow else ""
+
+
 def _measured(aircraft: Aircraft) -> dict[str, Any]:
     counted = aircraft.statistics()
     counters = dataclasses.asdict(counted)
@@ -209,6 +218,7 @@ def _measured(aircraft: Aircraft) -> dict[str, Any]:
         "link": aircraft.link.name,
         "line": counters,
         "round_trips": _described(counted.round_trips),
+        "latency": _latency(aircraft),
         "telemetry": telemetry_rates(aircraft),
         "telemetry_mismatches": aircraft.telemetry_mismatches,
     }
@@ -242,6 +252,8 @@ def _print(measured: dict[str, Any]) -> None:
         "not written": f"{line['dropped_writes']} frames",
         "telemetry": _arriving(measured),
     }
+    if latency := measured["latency"]:
+        rows["latency"] = latency
     _print_rows(rows, measured)
     _print_trips(measured["round_trips"])
 

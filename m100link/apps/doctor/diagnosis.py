@@ -24,6 +24,8 @@ from m100link.errors import (
     NotActivated,
     UsageError,
 )
+from m100link.link import Latency
+from m100link.link.requests import LONGEST_S
 from m100link.link.url import parse_url
 from m100link.protocol.codes import AuthorityCode
 from m100link.protocol.commands.activation import Credentials, GetVersion, Version
@@ -105,6 +107,7 @@ async def diagnose(
 TELEMETRY_S = 1.1
 """Seconds in which an item at 1 Hz, the slowest rate, comes."""
 
+_ACTIVATION_S = 20.0
 _MANY_MISMATCHES = 3
 _NOT_IN_F = (AuthorityCode.NOT_IN_F, AuthorityCode.NOT_CHANGED)
 
@@ -136,7 +139,7 @@ async def look_at_aircraft(
     try:
         await asyncio.sleep(TELEMETRY_S)
         version = await aircraft.version()
-        yield _version(version)
+        yield _version(version, aircraft.link.latency)
         yield _firmware(aircraft, version, is_forced=firmware is not None)
         stage = Stage.ACTIVATION
         yield await _activation(aircraft, version, credentials)
@@ -161,6 +164,7 @@ def _no_answer(error: NoAircraft) -> Finding:
         (
             "the wire from our TX to the aircraft's RX carries nothing: it hears no question",
             "another computer on the second UART_CAN2 socket, where only one may talk",
+            f"a line whose answers take longer than {LONGEST_S:g} s",
             "an aircraft that does not speak this protocol: A3, N3 and later ones",
         ),
         (
@@ -193,7 +197,7 @@ async def _unanswered(stage: Stage, aircraft: Aircraft, error: AckTimeout) -> Fi
         f"{counted.acks + counted.expired} requests",
         (
             "frames are lost on the way: noise, a half-duplex radio, a bad contact",
-            "the answers take longer than this program waits: a slow radio or network",
+            f"the answers take longer than this program waits; {aircraft.link.latency}",
         ),
         (
             "check plugs and ground wire; lower the telemetry rates in the PC assistant",
@@ -204,8 +208,19 @@ async def _unanswered(stage: Stage, aircraft: Aircraft, error: AckTimeout) -> Fi
     )
 
 
-def _version(version: Version) -> Finding:
-    details = {"version": version.name, "crc_matches": version.crc_matches}
+def _version(version: Version, latency: Latency) -> Finding:
+    details = {
+        "version": version.name,
+        "crc_matches": version.crc_matches,
+        "round_trip_s": latency.round_trip_s,
+    }
+    if latency.is_slow:
+        return Stage.VERSION.doubtful(
+            f"{version.name}; {latency}",
+            ("a mobile network, a serial server or a radio is on the way",),
+            ("what flies at which latency: m100link docs silent-line",),
+            details,
+        )
     if version.crc_matches:
         return Stage.VERSION.good(version.name, details=details)
     return Stage.VERSION.doubtful(
@@ -254,7 +269,9 @@ async def _activation(
 ) -> Finding:
     if credentials is not None:
         try:
-            await aircraft.activate(credentials, timeout=20.0)
+            await aircraft.activate(
+                credentials, timeout=_ACTIVATION_S + 2 * aircraft.link.latency.slack_s
+            )
         except CommandRefused as error:
             # Whose app it is belongs into no report.
             found = failed(Stage.ACTIVATION, error)

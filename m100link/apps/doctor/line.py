@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass, replace
 from functools import cache
@@ -10,6 +11,7 @@ from itertools import pairwise
 from m100link.apps.doctor.findings import Finding, Stage, Verdict
 from m100link.apps.doctor.port import Ear, failed, open_ear
 from m100link.errors import LinkError, M100Error, UsageError
+from m100link.link.requests import FIRST_BYTES_S
 from m100link.link.serial_transport import read_inverted
 from m100link.link.url import ConnectionString
 from m100link.protocol.commands.activation import GetVersion
@@ -59,6 +61,8 @@ async def look_at_line(address: ConnectionString) -> tuple[Finding, ...]:
     opened = Stage.OPENING.good(str(address))
     try:
         heard = await _listen(ear)
+        if not heard.data and address.scheme != "serial":
+            heard = await _listen_on(ear)
         was_lost = ear.is_lost  # by the other side: closing it here comes next
     finally:
         await ear.close()
@@ -86,6 +90,16 @@ async def _listen(ear: Ear, seconds: float = LISTEN_S) -> Heard:
     for _ in range(2):
         ear.say(_QUERY)
         await ear.listen(ANSWER_S)
+    return hear(bytes(ear.data))
+
+
+async def _listen_on(ear: Ear) -> Heard:
+    """The first bytes of a slow network may take seconds."""
+    for _ in range(math.ceil(FIRST_BYTES_S / LISTEN_S)):
+        await ear.listen(LISTEN_S)
+        if ear.data:
+            await ear.listen(LISTEN_S)
+            break
     return hear(bytes(ear.data))
 
 

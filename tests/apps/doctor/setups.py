@@ -313,6 +313,11 @@ _AIRCRAFT = (
         *("sim://", _order("stall", at=1.5), APP),
     ),
     SetUp(
+        "the line is slow",
+        *(None, "", "", 0, "sim://?delay=0.6", lambda bench: None, APP),
+        doubts=(Stage.VERSION,),
+    ),
+    SetUp(
         "every second frame is lost",
         *(Stage.ACTIVATION, "the aircraft is heard", "frames are lost on the way", 4),
         *("sim://?loss=0.5&seed=1", lambda bench: None, APP),
