@@ -305,6 +305,7 @@ class MavlinkVehicle:
             return
         here = position.latitude_deg, position.longitude_deg
         late = _AHEAD_S + max(view.age(one) or 0.0 for one in (Position, Velocity))
+        late += self.world.known.state.round_trip or 0.0  # what is seen is old, and a hold is late
         way = complex(velocity.north_m_s, velocity.east_m_s) * late
         ahead = self._ahead(LocalFrame(*here), way)
         depth, least = fence.depth_m(*here), self._breach_m

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
+from functools import partial
 from random import Random
 from typing import Any
 
@@ -11,6 +12,7 @@ import anyio
 import pytest
 
 from m100link.apps.agent.client import VehicleView
+from m100link.apps.agent.server.connection import AircraftConnection
 from m100link.apps.mavlink.translator.codec import MavlinkMessage
 from m100link.apps.mavlink.translator.missions import read_fence
 from m100link.apps.mavlink.translator.numbers import (
@@ -501,6 +503,23 @@ async def test_a_late_report_leads_nobody_out_of_a_fence(rig: Rig, ground: Groun
     before = await deepest_m(rig, 0.9, lambda: tilt_north(ground))
     rig.aircraft.line.to_host.faults = LineFaults()
     assert max(before, await deepest_m(rig, 8.0, lambda: tilt_north(ground))) < 0.5
+
+
+async def test_on_a_slow_line_it_is_held_a_round_trip_earlier(
+    rig: Rig, ground: Ground, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At 5 m/s and 6 s, 30 m before the fence; without, some 9 m before it."""
+    monkeypatch.setattr(AircraftConnection, "round_trip", property(lambda _: 6.0))
+    await upload_fence(ground, *corners((-20, -20), (70, -20), (70, 20), (-20, 20)))
+    await ground.fly(5.0)
+    fly_north(ground, 5.0)
+    fields = {"coordinate_frame": 1, "type_mask": 0b0000_1101_1100_0111, "vx": 5.0}
+    send = partial(
+        ground.send, "SET_POSITION_TARGET_LOCAL_NED", target_system=1, **fields
+    )  # and not into the mode again, when it is held
+    await deepest_m(rig, 20.0, send)
+    assert rig.speed < 0.1
+    assert 20.0 < rig.aircraft.position[0] < 42.0
 
 
 async def test_the_way_out_of_an_area_leads_through_no_second_one(rig: Rig, ground: Ground) -> None:
