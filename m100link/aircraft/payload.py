@@ -107,7 +107,7 @@ class AircraftGimbal:
             wait: Return when telemetry shows the angles within 1.5 degrees, and not when they are
                 sent. Straight down, roll and yaw of the telemetry mean nothing: only the pitch is
                 waited for.
-            timeout: Seconds to wait; by default 3 more than ``seconds``.
+            timeout: Seconds to wait; by default 3 more than ``seconds``, and on a slow line more.
 
         Raises:
             UsageError: No angle, or one beyond its limit; nothing was sent.
@@ -127,7 +127,9 @@ class AircraftGimbal:
             angles = {axis: present[axis] + angle for axis, angle in angles.items()}
         sent_at = asyncio.get_running_loop().time()
         await self._requests.send(command)
-        await self._reach(angles, sent_at, seconds + _MARGIN_S if timeout is None else timeout)
+        if timeout is None:
+            timeout = seconds + _MARGIN_S + self._requests.latency.slack_s
+        await self._reach(angles, sent_at, timeout)
 
     async def _angles(self) -> dict[str, float]:
         """The present angles, ° by axis; ``TelemetryStalled`` when none comes for 1.5 s."""

@@ -29,7 +29,7 @@ from m100link.wire.cipher import Cipher
 from m100link.wire.frame import encode_frame
 
 if TYPE_CHECKING:
-    from m100link.link import Link, LinkStatistics
+    from m100link.link import Latency, Link, LinkStatistics
 
 __all__ = ["Requests"]
 
@@ -64,6 +64,11 @@ class Requests:
         self.knows_layout = self._is_forced
         # Newest answer to the version query, None before the first.
         self.version: Version | None = None
+
+    @property
+    def latency(self) -> Latency:
+        """How long answers take on this line, as measured."""
+        return self._link.latency
 
     def fix_firmware(self) -> None:
         """Keep the firmware until :meth:`free_firmware`, whatever a version answer says.

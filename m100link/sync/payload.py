@@ -49,7 +49,7 @@ class AircraftGimbal:
             wait: Return when telemetry shows the angles within 1.5 degrees, and not when they are
                 sent. Straight down, roll and yaw of the telemetry mean nothing: only the pitch is
                 waited for.
-            timeout: Seconds to wait; by default 3 more than ``seconds``.
+            timeout: Seconds to wait; by default 3 more than ``seconds``, and on a slow line more.
 
         Raises:
             UsageError: No angle, or one beyond its limit; nothing was sent.

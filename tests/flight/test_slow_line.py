@@ -217,6 +217,13 @@ async def test_what_the_autopilot_corrects_by_itself_flies_at_any_latency(delay:
             await control.turn_to(90.0)
 
 
+async def test_the_gimbal_is_waited_for_until_telemetry_can_show_it() -> None:
+    async with rig(seed=1, firmware="3.1", faults=slow(5.0)) as flown:
+        await flown.aircraft.gimbal.set_angles(pitch=-30.0, wait=True)
+        assert flown.aircraft.state.gimbal is not None
+        assert flown.aircraft.state.gimbal.pitch_deg == pytest.approx(-30.0, abs=2.0)
+
+
 async def test_closed_loops_fly_at_0_35_s_each_way() -> None:
     async with rig(seed=1, faults=slow(0.35)) as flown:
         await airborne(flown, 0.35)
