@@ -48,6 +48,7 @@ async def airborne(flown: Rig, delay: float) -> None:
     await asyncio.sleep(2 * delay + 1.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("loss", LOSSES)
 @pytest.mark.parametrize("delay", LATENCIES)
 async def test_a_flight_from_connection_to_landing(delay: float, loss: float) -> None:
@@ -69,6 +70,7 @@ async def test_a_flight_from_connection_to_landing(delay: float, loss: float) ->
         assert flown.is_released
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("delay", LATENCIES)
 async def test_a_program_that_fails_leaves_it_hovering_one_latency_later(delay: float) -> None:
     failed_at = 0.0
@@ -91,6 +93,7 @@ async def test_a_program_that_fails_leaves_it_hovering_one_latency_later(delay: 
         await flown.assert_hovers()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("delay", LATENCIES)
 async def test_a_lost_line_is_connected_again_and_activated(delay: float) -> None:
     virtual = ConnectableAircraft(seed=7, faults=slow(delay, 0.1))
@@ -207,6 +210,7 @@ async def test_closed_loops_are_refused_with_the_latency_as_the_cause(delay: flo
         assert not [move for move in flown.moves if not flown.is_neutral(move)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("delay", LATENCIES)
 async def test_what_the_autopilot_corrects_by_itself_flies_at_any_latency(delay: float) -> None:
     async with rig(seed=1, faults=slow(delay)) as flown:
@@ -240,6 +244,7 @@ async def test_a_program_that_says_so_flies_a_closed_loop_all_the_same() -> None
             assert flown.virtual.position[0] == pytest.approx(10.0, abs=1.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("delay", [1.0, 5.0])
 async def test_the_envelope_ends_earlier_by_what_is_flown_meanwhile(delay: float) -> None:
     """The place is one latency old, and the neutral arrives one later: 5 m/s fly 5 · 2 · delay."""
