@@ -131,6 +131,7 @@ __all__ = [
     "PROFILES",
     "Aborted",
     "Acceleration",
+    "AccelerationMode",
     "AckTimeout",
     "ActionsDone",
     "ActivationCode",

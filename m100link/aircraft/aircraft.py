@@ -22,10 +22,11 @@ from m100link.protocol.command import Address, Push, Request
 from m100link.protocol.commands.activation import Credentials, SendToMobile, Version
 from m100link.protocol.commands.monitor import AuthorityChanged, FromMobile
 from m100link.protocol.firmware import FirmwareProfile
+from m100link.protocol.records import AccelerationMode
 from m100link.telemetry.columns import Columns, Table
 from m100link.telemetry.device_clock import DeviceClock
 from m100link.telemetry.notifications import Notifications
-from m100link.telemetry.sample import Sample
+from m100link.telemetry.sample import AccelerationReader, Sample
 from m100link.telemetry.state import AircraftState
 from m100link.telemetry.subscription import (
     Hub,
@@ -94,6 +95,7 @@ class Aircraft:
     Args:
         link: The line, open.
         firmware: Profile that the version answer does not change.
+        acceleration: Mode of acceleration that telemetry does not change.
 
     Attributes:
         link: The line.
@@ -101,10 +103,17 @@ class Aircraft:
         gimbal, camera: The payload below; they need no control authority.
     """
 
-    def __init__(self, link: Link, *, firmware: FirmwareProfile | None = None) -> None:
+    def __init__(
+        self,
+        link: Link,
+        *,
+        firmware: FirmwareProfile | None = None,
+        acceleration: AccelerationMode | None = None,
+    ) -> None:
         self._requests = Requests(link, firmware)  # not public: by it, movement could leave
         self.authority = Authority(link.clock)
-        self._telemetry = TelemetryStream(self.authority.observe, link.clock)
+        reader = AccelerationReader(acceleration)
+        self._telemetry = TelemetryStream(self.authority.observe, link.clock, reader)
         self._from_mobile: Hub[bytes] = Hub()
         self._events: Hub[ConnectionEvent | AuthorityEvent] = Hub()
         self._claim = BlockClaim()
@@ -473,6 +482,14 @@ class Aircraft:
     def telemetry_mismatches(self) -> int:
         """Telemetry packages refused because they do not fit the firmware profile."""
         return self._telemetry.mismatches
+
+    @property
+    def acceleration_mode(self) -> AccelerationMode | None:
+        """Raw or fused, as the aircraft sends acceleration: :attr:`state` has it fused.
+
+        None while it is not known: then :attr:`state` has none. One second at rest shows it.
+        """
+        return self._telemetry.acceleration.mode
 
     @property
     def device_clock(self) -> DeviceClock:

@@ -14,6 +14,8 @@ from m100link.errors.base import of_the_system
 from m100link.link import Direction, Link, Tap, open_link
 from m100link.link.statistics import TapListener
 from m100link.protocol.firmware import FirmwareProfile, profile
+from m100link.protocol.records import AccelerationMode
+from m100link.telemetry.sample import acceleration_mode
 
 if TYPE_CHECKING:
     from m100link.log.channels import Entry
@@ -33,6 +35,7 @@ class Recording(Protocol):
         link: Link,
         firmware: Callable[[], FirmwareProfile],
         look: Callable[[], Iterable[Entry]],
+        acceleration: Callable[[], AccelerationMode | None],
     ) -> None:
         """Log the events and counters of a connection besides its bytes."""
 
@@ -95,6 +98,7 @@ def connect(
     timeout: float | None = None,
     tap: Tap | None = None,
     record: str | PathLike[str] | Recording | None = None,
+    acceleration: str | None = None,
 ) -> Connecting:
     """Connect to an aircraft for the time of a block.
 
@@ -118,6 +122,8 @@ def connect(
             clear.
         record: File for a flight log, or a folder for one that is named by the time; or a
             :class:`m100link.log.Recorder`. Needs the extra ``log``.
+        acceleration: ``"raw"`` or ``"fused"``, as the PC assistant is set; by default one second at
+            rest shows it. Telemetry has it fused in both cases: see :class:`AccelerationMode`.
 
     Raises (when it is entered or awaited):
         BadURL, UsageError: A wrong string or profile name; no asyncio, but trio; a tap on a link.
@@ -125,7 +131,9 @@ def connect(
         SilentLine, NoValidFrame, NoAnswer: It can, but no aircraft answers; each names the cause.
     """
     name = line if isinstance(line, str) else line.name
-    return Connecting(partial(_open, line, firmware, baud_rate, timeout, tap, record), name)
+    return Connecting(
+        partial(_open, line, firmware, baud_rate, timeout, tap, record, acceleration), name
+    )
 
 
 async def _open(
@@ -135,9 +143,11 @@ async def _open(
     timeout: float | None,
     tap: Tap | None,
     record: str | PathLike[str] | Recording | None,
+    acceleration: str | None,
 ) -> Aircraft:
     _require_asyncio()
     forced = None if firmware is None else profile(firmware)
+    mode = acceleration_mode(acceleration)
     if isinstance(line, Link) and (tap is not None or record is not None):
         raise UsageError(
             f"{line.name} is open already, and can be neither tapped nor recorded",
@@ -151,7 +161,7 @@ async def _open(
             )
         from m100link.aircraft.replaying import open_replay  # few programs look back
 
-        return await open_replay(line, firmware=forced, tap=tap)
+        return await open_replay(line, firmware=forced, tap=tap, acceleration=mode)
     recorder = None if record is None else _recorder(record)
     if recorder is not None:
         recorder.begin()
@@ -165,7 +175,7 @@ async def _open(
         if recorder is not None:
             await recorder.aclose()
         raise
-    aircraft = Aircraft(link, firmware=forced)
+    aircraft = Aircraft(link, firmware=forced, acceleration=mode)
     if recorder is not None:
         be_recorded(aircraft, recorder)
     try:
@@ -180,7 +190,8 @@ def be_recorded(aircraft: Aircraft, recorder: Recording) -> None:
     """Have a log, which hears the bytes already, know the rest; it ends with the connection."""
     from m100link.aircraft.observer import observer
 
-    recorder.watch(aircraft.link, lambda: aircraft.firmware, observer(aircraft))
+    known = aircraft._telemetry.acceleration
+    recorder.watch(aircraft.link, lambda: aircraft.firmware, observer(aircraft), lambda: known.mode)
     aircraft._at_end.append(recorder.aclose)
 
 

@@ -34,7 +34,8 @@ def observer(aircraft: Aircraft) -> Callable[[], list[Entry]]:
         if now - counted_at >= COUNTERS_S:
             counted_at = now
             counters = asdict(aircraft.statistics())
-            entries.append((LINK, {"firmware": aircraft.firmware.name, **counters}))
+            known = {"firmware": aircraft.firmware.name, "acceleration": aircraft.acceleration_mode}
+            entries.append((LINK, {**known, **counters}))
         return entries
 
     return look

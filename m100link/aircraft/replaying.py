@@ -17,6 +17,7 @@ from m100link.link.statistics import TapListener
 from m100link.log.player import FASTEST, SLOWEST, PlaybackTarget, Player, ReplayedLink, begin_of
 from m100link.log.reading import read
 from m100link.protocol.firmware import FirmwareProfile
+from m100link.protocol.records import AccelerationMode
 
 SCHEME = "replay://"
 
@@ -84,10 +85,11 @@ async def open_replay(
     firmware: FirmwareProfile | None = None,
     tap: Tap | None = None,  # hears the bytes of both directions
     holds: bool = False,  # stand still at the end, instead of ending with :class:`ReplayEnded`
+    acceleration: AccelerationMode | None = None,  # by default as the recording shows
 ) -> Aircraft:
     """The aircraft of a recording, played from the next turn of the event loop on."""
     wanted = parse_replay(url) if isinstance(url, str) else url
-    flight = read(wanted.path)
+    flight = read(wanted.path, acceleration=acceleration)
     begin = await begin_of(flight, is_moved=holds or wanted.from_s > 0.0)
     if wanted.from_s > begin.duration_s:
         raise UsageError(
@@ -102,7 +104,7 @@ async def open_replay(
         flight, begin, speed=wanted.speed, from_s=wanted.from_s, to_s=wanted.to_s, holds=holds
     )
     link = ReplayedLink(player)
-    aircraft = Aircraft(link, firmware=firmware)
+    aircraft = Aircraft(link, firmware=firmware, acceleration=flight.acceleration_by(known))
     aircraft._requests.take_recorded(begin.version, known)
     telemetry = aircraft._telemetry
     telemetry.utc_offset_s = player.utc_offset_s

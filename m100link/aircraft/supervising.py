@@ -558,6 +558,7 @@ def supervise(
     timeout: float | None = None,
     back_off: BackOff | None = None,
     random: Random | None = None,
+    acceleration: str | None = None,
 ) -> Supervised:
     """Keep a connection to one aircraft for the time of a block.
 
@@ -582,13 +583,20 @@ def supervise(
         timeout: As there, at each attempt.
         back_off: Pauses between attempts.
         random: Of the jitter; seed it for the same pauses again.
+        acceleration: As there.
 
     Ends for good, with the error that says why in its attribute ``error``: another aircraft
     answers, the app is refused for a reason that does not pass by itself, the URL is none.
     """
 
     async def open_aircraft() -> Aircraft:
-        return await connect(url, firmware=firmware, baud_rate=baud_rate, timeout=timeout)
+        return await connect(
+            url,
+            firmware=firmware,
+            baud_rate=baud_rate,
+            timeout=timeout,
+            acceleration=acceleration,
+        )
 
     if random is None:
         from random import Random  # which takes long to load, for what few programs do

@@ -17,7 +17,7 @@ from m100link.protocol.commands.monitor import PushTelemetry
 from m100link.protocol.commands.registry import COMMANDS, address_of, parse_command
 from m100link.protocol.firmware import FirmwareProfile
 from m100link.protocol.records import Position
-from m100link.telemetry.sample import Sample
+from m100link.telemetry.sample import AccelerationReader, Sample
 from m100link.wire import Cipher, Frame, FrameDecoder
 
 RX, TX = "/m100/raw/rx", "/m100/raw/tx"
@@ -290,12 +290,14 @@ def fix_of(position: Position) -> dict[str, Any]:
 class FrameInterpreter:
     """Two decoders, one for each direction, and the requests.
 
-    ``rate_hz``: telemetry at most so often; 0: every package.
+    ``rate_hz``: telemetry at most so often; 0: every package. ``acceleration``: by which packages
+    are read; a caller that knows the mode fixes it.
     """
 
     def __init__(self, rate_hz: float) -> None:
         self._sent, self._received = FrameDecoder(), FrameDecoder()
         self._thinning = RateLimiter(1.0 / rate_hz if rate_hz else 0.0)
+        self.acceleration = AccelerationReader()
         # The requests by session and sequence; the answer does not say it. A number is used again
         # within 65536 requests, so there are never more.
         self._asked: dict[tuple[int, int, bool], type[Command]] = {}
@@ -318,6 +320,8 @@ class FrameInterpreter:
                 yield from self._frame(frame, profile, is_ours=False)
 
     def _telemetry(self, value: bytes, now: float, profile: FirmwareProfile) -> Iterator[Entry]:
+        if not self.acceleration.is_idle:
+            value = self.acceleration.read(value, profile, now)
         thinned = self._thinning.hear(value, profile, now)
         if thinned is None:
             return

@@ -31,8 +31,9 @@ from m100link.log.records import (
     registered,
 )
 from m100link.protocol.firmware import PROFILES, FirmwareProfile, profile
+from m100link.protocol.records import AccelerationMode
 from m100link.telemetry.columns import Columns, Table
-from m100link.telemetry.sample import Sample
+from m100link.telemetry.sample import AccelerationReader, Sample, acceleration_mode
 from m100link.wire import FrameDecoder
 
 _logger = logging.getLogger(__name__)
@@ -122,13 +123,15 @@ class FlightLog:
 
     Args:
         path: The file.
+        acceleration: The mode by which acceleration is read; by default as the recording shows.
 
     Attributes:
         path: The file.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, acceleration: AccelerationMode | None = None) -> None:
         self.path = path
+        self._acceleration = acceleration
         self._damage: Damage | None = None
 
     def __repr__(self) -> str:
@@ -216,6 +219,26 @@ class FlightLog:
             return profile(name)
         return None
 
+    def acceleration_by(self, firmware: FirmwareProfile) -> AccelerationMode | None:
+        """The mode in which acceleration was sent; None when it was never known.
+
+        The log has it; of a log that an earlier version wrote, the values at rest show it.
+        """
+        if self._acceleration is not None:
+            return self._acceleration
+        for message in self.messages(LINK):
+            content = message.content()
+            if "acceleration" not in content:
+                break
+            if content["acceleration"] in tuple(AccelerationMode):
+                return AccelerationMode(content["acceleration"])
+        reader = AccelerationReader()
+        for value, at in self._packages():
+            reader.read(value, firmware, at)
+            if reader.mode is not None:
+                break
+        return reader.mode
+
     def nameless(self, remedy: str) -> UsageError:
         """The error of a reader that needs the firmware profile of a log that never names it."""
         return UsageError(
@@ -236,16 +259,24 @@ class FlightLog:
         chosen = self.firmware if firmware is None else profile(firmware)
         if chosen is None:
             raise self.nameless("samples(firmware='1.0')")
+        acceleration = AccelerationReader()
+        acceleration.fix(self.acceleration_by(chosen))
+        for value, at in self._packages():
+            if not acceleration.is_idle:
+                value = acceleration.read(value, chosen, at)
+            try:
+                yield Sample(value, chosen, at)
+            except LayoutMismatch:
+                continue  # as in flight: counted by the link, read by nobody
+
+    def _packages(self) -> Iterator[tuple[bytes, float]]:
+        """The values of telemetry packages, and when they arrived."""
         decoder = FrameDecoder()
         for chunk in self.chunks():
-            if chunk.direction is not Direction.RECEIVED:
-                continue
-            for frame in decoder.feed(chunk.data):
-                if is_telemetry(frame):
-                    try:
-                        yield Sample(frame.data[2:], chosen, chunk.at)
-                    except LayoutMismatch:
-                        continue  # as in flight: counted by the link, read by nobody
+            if chunk.direction is Direction.RECEIVED:
+                for frame in decoder.feed(chunk.data):
+                    if is_telemetry(frame):
+                        yield frame.data[2:], chunk.at
 
     def rows(
         self, *records: type[Any], firmware: str | FirmwareProfile | None = None
@@ -299,7 +330,7 @@ class FlightLog:
         return 0.0
 
 
-def read(path: str | os.PathLike[str]) -> FlightLog:
+def read(path: str | os.PathLike[str], *, acceleration: str | None = None) -> FlightLog:
     """Open a flight log.
 
     ::
@@ -307,6 +338,10 @@ def read(path: str | os.PathLike[str]) -> FlightLog:
         flight = m100link.log.read("flight.mcap")
         for sample in flight.samples():
             print(sample.received_at, sample.position)
+
+    Args:
+        path: The file.
+        acceleration: ``"raw"`` or ``"fused"``, for a log that does not show it.
 
     Raises:
         UsageError: There is no such file, it is not an MCAP file, or the extra ``log`` is missing.
@@ -324,7 +359,7 @@ def read(path: str | os.PathLike[str]) -> FlightLog:
             remedy="name a file that `m100link record` or connect(record=…) wrote",
         )
     mcap_module("writer")
-    return FlightLog(place)
+    return FlightLog(place, acceleration_mode(acceleration))
 
 
 def recover(path: str | os.PathLike[str], target: str | os.PathLike[str]) -> int:

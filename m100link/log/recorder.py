@@ -28,6 +28,7 @@ from m100link.link import Direction, Link
 from m100link.log.channels import CHUNKS, FIX, LINK, RX, SCHEMAS, TX, Entry, FrameInterpreter
 from m100link.log.records import PART_SIZE, mcap_module, registered
 from m100link.protocol.firmware import FirmwareProfile
+from m100link.protocol.records import AccelerationMode
 from m100link.wire import Cipher, encode_frame
 from m100link.wire.frame import CRC32_SIZE, HEADER_SIZE, MAX_SESSION, OVERHEAD, frame_length
 
@@ -180,6 +181,9 @@ END_TIMEOUT_S = 15.0
 _LOOKS, _LOOK_S = 10, 0.001
 
 
+_Known = tuple[Cipher | None, FirmwareProfile | None, AccelerationMode | None]
+
+
 @dataclass
 class _Batch:
     """The events of the loop since the last batch, and the link's state at that time."""
@@ -188,6 +192,7 @@ class _Batch:
     entries: list[tuple[float, Entry]] = field(default_factory=list)
     cipher: Cipher | None = None
     profile: FirmwareProfile | None = None
+    acceleration: AccelerationMode | None = None
     dropped: int = 0
 
     @property
@@ -227,7 +232,7 @@ class Recorder:
         self.dropped = 0
         self._loop: asyncio.AbstractEventLoop | None = None
         self._look: Callable[[], Iterable[Entry]] = tuple
-        self._known: Callable[[], tuple[Cipher | None, FirmwareProfile | None]] = _nothing
+        self._known: Callable[[], _Known] = _nothing
         self._batch = _Batch()
         self._timer: asyncio.TimerHandle | None = None
         self._is_taken = False  # by a connection
@@ -276,6 +281,7 @@ class Recorder:
         link: Link,
         firmware: Callable[[], FirmwareProfile],
         look: Callable[[], Iterable[Entry]],
+        acceleration: Callable[[], AccelerationMode | None] = lambda: None,
     ) -> None:
         """Log the state of a connection besides its bytes.
 
@@ -283,8 +289,9 @@ class Recorder:
             link: Whose key decrypts.
             firmware: By which telemetry and movement are read.
             look: Called ten times a second; its messages are written.
+            acceleration: The mode by which acceleration is read; None while it is not known.
         """
-        self._known = lambda: (link.cipher, firmware())
+        self._known = lambda: (link.cipher, firmware(), acceleration())
         self._look = look
 
     async def aclose(self) -> None:
@@ -312,7 +319,7 @@ class Recorder:
             if self._loop is not None:
                 now = self._loop.time()
                 batch.entries = [(now, entry) for entry in self._look()]
-            batch.cipher, batch.profile = self._known()
+            batch.cipher, batch.profile, batch.acceleration = self._known()
         except Exception:
             _logger.exception("%s: from here on only bytes are recorded", self.path)
             self._look, self._known = tuple, _nothing
@@ -384,8 +391,8 @@ def _lock(stream: IO[bytes]) -> bool:
     return True
 
 
-def _nothing() -> tuple[None, None]:
-    return None, None
+def _nothing() -> _Known:
+    return None, None, None
 
 
 def _new_file(place: Path) -> tuple[Path, IO[bytes]]:
@@ -452,6 +459,7 @@ class _Scribe:
                     continue
             self._raw(direction, chunks, self._redaction.received)
         # In their order, for an answer follows what was asked.
+        self._witness.acceleration.fix(batch.acceleration)
         if batch.profile is not None:
             for way, data, now in batch.chunks:
                 if way is Direction.SENT:

@@ -10,7 +10,7 @@ Everything in ``__all__`` is public as it is: :mod:`m100link` and its manual hav
 from __future__ import annotations
 
 import math
-from enum import IntEnum
+from enum import IntEnum, StrEnum
 from math import cos, sin
 from typing import NamedTuple
 
@@ -18,6 +18,7 @@ from m100link.wire.frame import quick
 
 __all__ = [
     "Acceleration",
+    "AccelerationMode",
     "AngularVelocity",
     "Attitude",
     "Battery",
@@ -152,9 +153,22 @@ class _AccelerationFields(NamedTuple):
 
 
 class Acceleration(_AccelerationFields, _GroundVector):
-    """Linear acceleration, ground frame, m/s² (the assistant can switch it to raw, errata 44)."""
+    """Linear acceleration, ground frame, m/s², without gravity, in both :class:`AccelerationMode`.
+
+    None until the mode is known (errata 44).
+    """
 
     __slots__ = ()
+
+
+class AccelerationMode(StrEnum):
+    """The setting of the PC assistant by which the aircraft sends acceleration (errata 44)."""
+
+    FUSED = "fused"
+    """Ground frame, m/s², without gravity: 0, 0, 0 at rest."""
+
+    RAW = "raw"
+    """Body frame (forward, right, down), in g, with gravity: 0, 0, −1 at rest."""
 
 
 @quick

@@ -107,6 +107,10 @@ def _rates(aircraft: VirtualAircraft, _: list[str], named: dict[str, str]) -> No
     aircraft.set_rates(**{item: int(rate) for item, rate in _numbers(named).items()})
 
 
+def _acceleration(aircraft: VirtualAircraft, words: list[str], _: dict[str, str]) -> None:
+    aircraft.set_acceleration(" ".join(words))
+
+
 def _message(aircraft: VirtualAircraft, words: list[str], named: dict[str, str]) -> None:
     if "hex" in named:
         aircraft.send_from_mobile(bytes.fromhex(named["hex"]))
@@ -186,6 +190,7 @@ ACTIONS: dict[str, Action] = {
         Action("api", "[on|off]", "tick 'enable API control'", _switched("enable_api")),
         Action("ioc", "[on|off]", "intelligent orientation control", _switched("set_ioc")),
         Action("rates", "ITEM=HZ …", "telemetry rates", _rates),
+        Action("acceleration", "raw|fused", "how acceleration is sent", _acceleration),
         Action("gps", "0…5", "GPS health", _gps),
         Action("battery", "PERCENT", "charge of the battery", _battery),
         Action(

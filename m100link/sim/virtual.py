@@ -234,6 +234,10 @@ class VirtualAircraft:
         """Set telemetry rates by item name: 0, 1, 10, 50 or 100 Hz."""
         self._configure(rates_hz=self.vehicle.assistant.rates_hz | rates_hz)
 
+    def set_acceleration(self, mode: str) -> None:
+        """Send acceleration ``raw`` or ``fused``."""
+        self._configure(acceleration=mode)
+
     def _configure(self, **changes: Any) -> None:
         self.autopilot.configure(replace(self.vehicle.assistant, **changes))
 

@@ -27,6 +27,7 @@ from m100link.missions.plan import WaypointPlan
 from m100link.protocol.command import Request
 from m100link.protocol.commands.activation import Credentials, Version
 from m100link.protocol.firmware import FirmwareProfile
+from m100link.protocol.records import AccelerationMode
 from m100link.sim.ports.driver import clock_of
 from m100link.sync.control import Control
 from m100link.sync.payload import AircraftCamera, AircraftGimbal
@@ -348,6 +349,14 @@ class Aircraft:
         return self._aircraft.telemetry_mismatches
 
     @property
+    def acceleration_mode(self) -> AccelerationMode | None:
+        """Raw or fused, as the aircraft sends acceleration: :attr:`state` has it fused.
+
+        None while it is not known: then :attr:`state` has none. One second at rest shows it.
+        """
+        return self._aircraft.acceleration_mode
+
+    @property
     def device_clock(self) -> DeviceClock:
         """Relates the aircraft's tick to this computer's time, with offset, skew, uncertainty."""
         return self._aircraft.device_clock
@@ -397,6 +406,7 @@ def connect(
     timeout: float | None = None,
     tap: Tap | None = None,
     record: str | PathLike[str] | Recording | None = None,
+    acceleration: str | None = None,
 ) -> Aircraft:
     """Connect to an aircraft for the time of a block.
 
@@ -420,6 +430,8 @@ def connect(
             clear.
         record: File for a flight log, or a folder for one that is named by the time; or a
             :class:`m100link.log.Recorder`. Needs the extra ``log``.
+        acceleration: ``"raw"`` or ``"fused"``, as the PC assistant is set; by default one second at
+            rest shows it. Telemetry has it fused in both cases: see :class:`AccelerationMode`.
 
     Raises:
         BadURL, UsageError: A wrong string or profile name; a tap on a link.
@@ -437,6 +449,7 @@ def connect(
                     timeout=timeout,
                     tap=tap,
                     record=record,
+                    acceleration=acceleration,
                 )
             )
         )

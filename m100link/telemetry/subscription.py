@@ -31,7 +31,7 @@ from m100link.protocol.items import item_of
 from m100link.protocol.packet import field_span, remember
 from m100link.protocol.records import Time
 from m100link.telemetry.device_clock import DeviceClock
-from m100link.telemetry.sample import Sample
+from m100link.telemetry.sample import AccelerationReader, Sample
 from m100link.telemetry.state import AircraftState
 
 __all__ = ["Latest", "Lossless", "Newest", "Policy", "Subscription"]
@@ -343,12 +343,18 @@ class TelemetryStream:
 
     __slots__ = (
         *("_clock", "_firmware", "_observe", "_ticks"),
-        *("hub", "mismatches", "state", "utc_offset_s"),
+        *("acceleration", "hub", "mismatches", "state", "utc_offset_s"),
     )
 
-    def __init__(self, observe: Callable[[Sample], None], clock: Callable[[], float]) -> None:
+    def __init__(
+        self,
+        observe: Callable[[Sample], None],
+        clock: Callable[[], float],
+        acceleration: AccelerationReader | None = None,
+    ) -> None:
         # Called with each package when state and clock know it, before the consumers.
         self._observe = observe
+        self.acceleration = acceleration or AccelerationReader()
         self.state = AircraftState(clock)  # newest value and age of every item
         self.mismatches = 0  # packages refused because they do not fit the firmware profile
         # Once: a wall clock that is set during a flight must not bend its columns.
@@ -373,6 +379,8 @@ class TelemetryStream:
 
         One that does not fit the firmware is counted, and the first of them logged.
         """
+        if not self.acceleration.is_idle:
+            value = self.acceleration.read(value, firmware, now)
         try:
             sample = Sample(value, firmware, now)
         except LayoutMismatch as error:

@@ -18,7 +18,8 @@ URL = f"sim://?seed=7&app-id={APP_ID}&key={KEY}"
 async def fly(record: Path | Recorder, url: str = URL, **options: Any) -> list[Sample]:
     """A short flight into a log; returns the telemetry that its program saw."""
     seen: list[Sample] = []
-    async with connect(url, record=record, **options) as aircraft:
+    # As somebody who knows the mode: the log and the program then know it from the first package.
+    async with connect(url, record=record, **{"acceleration": "fused"} | options) as aircraft:
         samples = aircraft.telemetry(policy=Lossless(10_000))
         await aircraft.activate(Credentials(app_id=APP_ID, key=KEY))
         async with aircraft.control() as control:

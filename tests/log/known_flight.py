@@ -16,7 +16,7 @@ from m100link.link import Direction
 from m100link.log import Recorder
 from m100link.log.channels import LINK
 from m100link.protocol.firmware import PROFILES
-from m100link.protocol.records import Velocity
+from m100link.protocol.records import AccelerationMode, Velocity
 from tests import known
 from tests.support import raw_frame
 
@@ -58,10 +58,17 @@ async def write(
     recorder = Recorder(path, rate_hz=0)
     recorder.begin()
     link = cast(Any, SimpleNamespace(cipher=None))
-    counted = {"firmware": firmware, "discarded_bytes": 0, "repeats": 0, "acks": 0}
+    fused = AccelerationMode.FUSED
+    counted = {
+        "firmware": firmware,
+        "acceleration": fused,
+        "discarded_bytes": 0,
+        "repeats": 0,
+        "acks": 0,
+    }
     counted |= {"round_trips": {"total_s": 0.0}}
     told = iter([[(LINK, counted)]])
-    recorder.watch(link, lambda: PROFILES[firmware], lambda: next(told, []))
+    recorder.watch(link, lambda: PROFILES[firmware], lambda: next(told, []), lambda: fused)
     for at, way, data in heard:
         await asyncio.sleep(40.0 + at - loop.time())
         recorder.tap(way, data, 40.0 + at)

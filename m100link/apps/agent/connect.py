@@ -14,6 +14,7 @@ from m100link.flight.guards import Envelope
 from m100link.link import Link
 from m100link.link.statistics import TappedProtocol
 from m100link.protocol.firmware import profile
+from m100link.telemetry.sample import acceleration_mode
 
 if TYPE_CHECKING:
     from m100link.apps.agent.server.connection import Connect
@@ -38,14 +39,21 @@ def by_url(
     firmware: str | None = None,
     timeout: float | None = None,  # seconds until an aircraft has to answer
     flights: Flights | None = None,  # where connections are recorded
+    acceleration: str | None = None,  # raw or fused; by default one second at rest shows it
 ) -> Connect:
-    """Open a connection string. A firmware profile that there is not is a UsageError at once."""
+    """Open a connection string. A profile or a mode that there is not is a UsageError at once."""
     forced = None if firmware is None else profile(firmware)
+    acceleration_mode(acceleration)
 
     async def opened() -> Aircraft:
         async with _recording(flights) as log:
             return await connect(
-                url, firmware=forced, baud_rate=baud_rate, timeout=timeout, record=log
+                url,
+                firmware=forced,
+                baud_rate=baud_rate,
+                timeout=timeout,
+                record=log,
+                acceleration=acceleration,
             )
 
     return opened

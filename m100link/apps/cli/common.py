@@ -21,6 +21,7 @@ from m100link.errors import UsageError
 from m100link.link.url import parse_url
 from m100link.protocol.commands.activation import Credentials
 from m100link.protocol.firmware import PROFILES
+from m100link.protocol.records import AccelerationMode
 
 if TYPE_CHECKING:
     from m100link.aircraft.connecting import Connecting, Recording
@@ -52,7 +53,7 @@ Url = Annotated[
 
 
 _OF_PANEL = {
-    "Aircraft": "url sim firmware baud_rate timeout",
+    "Aircraft": "url sim firmware baud_rate timeout acceleration",
     "App registered with DJI": "app_id key_file key level app_version bundle_id",
     "Safety": "max_height max_radius keep_authority",
     "rosbridge": "port also_ports pages max_clients",
@@ -71,7 +72,11 @@ _CALLED = {
     "metrics_port": "--metrics",
     "foxglove_port": "--foxglove",
 }
-_OFFERED = {"url": offered(places), "firmware": offered(PROFILES)}
+_OFFERED = {
+    "url": offered(places),
+    "firmware": offered(PROFILES),
+    "acceleration": offered(AccelerationMode),
+}
 
 
 def layer_of_settings(names: Iterable[str], called: Mapping[str, str] | None = None) -> Any:
@@ -136,6 +141,7 @@ class ConnectionOptions:
             baud_rate=self.settings.baud_rate,
             timeout=self.settings.timeout,
             record=record,
+            acceleration=self.settings.acceleration,
         )
 
     @property
@@ -165,7 +171,9 @@ class ConnectionOptions:
 
 @Parameter(name="*")
 @dataclass(frozen=True)
-class LinkOptions(layer_of_settings(("url", "firmware", "baud_rate", "timeout"))):  # type: ignore[misc] # a class that is made
+class LinkOptions(
+    layer_of_settings(("url", "firmware", "baud_rate", "timeout", "acceleration"))  # type: ignore[misc] # a class that is made
+):
     """Where the aircraft is, and how to talk to it: fields of the station's settings."""
 
     log: LogOptions = AS_IT_IS

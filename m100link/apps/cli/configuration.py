@@ -24,12 +24,13 @@ from m100link.errors.texts import read_path, read_toml
 from m100link.link.keyfile import read_watched
 from m100link.link.url import EXAMPLES, parse_url
 from m100link.protocol.firmware import PROFILES
+from m100link.protocol.records import AccelerationMode
 from m100link.telemetry.columns import ITEM_NAMES
 
 FILE = "m100link.toml"
 
 _OF_ALL = (
-    *("firmware", "baud", "timeout"),
+    *("firmware", "baud", "timeout", "acceleration"),
     *("app_id", "key_file", "level", "app_version", "bundle_id"),
 )
 _OF_ONE = ("url", *_OF_ALL)
@@ -230,4 +231,6 @@ def _wrong(name: str, value: Any) -> str:
         return "seconds, above 0"
     if name == "firmware" and value not in PROFILES:
         return f"one of {', '.join(PROFILES)}, as text"
+    if name == "acceleration" and value not in tuple(AccelerationMode):
+        return f"one of {', '.join(AccelerationMode)}, as text"
     return ""

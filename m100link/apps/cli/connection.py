@@ -61,6 +61,7 @@ async def info(
             "firmware": aircraft.firmware.name,
             "firmware_is_forced": place.settings.firmware is not None,
             "firmware_summary": aircraft.firmware.summary,
+            "acceleration": aircraft.acceleration_mode,
             "telemetry": telemetry_rates(aircraft),
             "telemetry_mismatches": aircraft.telemetry_mismatches,
             "latency": _latency(aircraft),
@@ -80,6 +81,7 @@ def _print_info(described: dict[str, Any]) -> None:
         "activated": "yes" if described["activated"] else "no",
         "firmware": described["firmware"] + forced,
         "": described["firmware_summary"],
+        "acceleration": described["acceleration"] or "raw or fused: not known yet",
         "telemetry": _arriving(described),
     }
     line = described["line"]
@@ -292,7 +294,7 @@ _EXIT_CODES = {
         ExitCode.PORT,
     ),
     **dict.fromkeys((Stage.BYTES, Stage.FRAMES, Stage.TELEMETRY), ExitCode.NO_LINK),
-    **dict.fromkeys((Stage.VERSION, Stage.FIRMWARE), ExitCode.NO_LINK),
+    **dict.fromkeys((Stage.VERSION, Stage.FIRMWARE, Stage.ACCELERATION), ExitCode.NO_LINK),
     **dict.fromkeys((Stage.ACTIVATION, Stage.KEY), ExitCode.ACTIVATION),
     **dict.fromkeys((Stage.MODE_SWITCH, Stage.AUTHORITY), ExitCode.AUTHORITY),
 }
@@ -373,6 +375,7 @@ def _diagnosed(place: ConnectionOptions, *, authority: bool, as_json: bool) -> R
         credentials=place.credentials() if has_app else None,
         firmware=app.firmware,
         baud_rate=app.baud_rate,
+        acceleration=app.acceleration,
     )
     if as_json:
         return asyncio.run(look(authority=authority))

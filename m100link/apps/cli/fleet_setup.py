@@ -71,7 +71,8 @@ from m100link.errors import UsageError
 
 _FromSettings: Any = layer_of_settings(
     (
-        *("baud_rate", "firmware", "timeout", "app_id", "key", "key_file", "level"),
+        *("baud_rate", "firmware", "timeout", "acceleration"),
+        *("app_id", "key", "key_file", "level"),
         *("app_version", "bundle_id", "max_height", "max_radius", "keep_authority"),
         *("record", "no_record", "record_keep", "record_keep_mb"),
     )

@@ -416,7 +416,8 @@ USUAL = ("udp://127.0.0.1:14550", "udp://127.0.0.1:14540")
 """Where ground stations and programs listen for a vehicle, as PX4's simulator knows them."""
 
 _OF_THE_AIRCRAFT = (
-    *("baud_rate", "firmware", "timeout", "app_id", "key", "key_file", "level"),
+    *("baud_rate", "firmware", "timeout", "acceleration"),
+    *("app_id", "key", "key_file", "level"),
     *("app_version", "bundle_id", "max_height", "max_radius", "keep_authority"),
 )
 

@@ -123,7 +123,7 @@ class RegisteredAppOptions:
 @Parameter(name="*", group=panel("Port"))
 @dataclass(frozen=True)
 class AssistantOptions(
-    options_of(AssistantSettings, {"baud_rate": "baud"})  # type: ignore[misc] # a class that is made
+    options_of(AssistantSettings, {"baud_rate": "baud", "acceleration": "acceleration"})  # type: ignore[misc] # a class that is made
 ):
     """Its ports, and what the PC assistant sets.
 
@@ -144,7 +144,10 @@ class AssistantOptions(
     def settings(self, *, cold: bool) -> AssistantSettings:
         """As the aircraft takes them."""
         return AssistantSettings(
-            api_control_enabled=not cold, baud_rate=self.baud_rate, rates_hz=_read_rates(self.rate)
+            api_control_enabled=not cold,
+            baud_rate=self.baud_rate,
+            rates_hz=_read_rates(self.rate),
+            acceleration=self.acceleration,
         )
 
 

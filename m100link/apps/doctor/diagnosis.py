@@ -32,6 +32,7 @@ from m100link.protocol.commands.activation import Credentials, GetVersion, Versi
 from m100link.protocol.firmware import PROFILES, FirmwareProfile
 from m100link.protocol.items import BY_RECORD
 from m100link.protocol.records import (
+    AccelerationMode,
     ControlDevice,
     Device,
     FlightPhase,
@@ -47,6 +48,7 @@ async def diagnose(
     credentials: Credentials | None = None,
     firmware: str | FirmwareProfile | None = None,
     baud_rate: int | None = None,
+    acceleration: str | None = None,
     authority: bool = False,
     tell: Callable[[Finding], object] = lambda _: None,
     machine: Machine | None = None,
@@ -61,6 +63,7 @@ async def diagnose(
         credentials: App id and key: the aircraft is activated for them, as by every program.
         firmware: Force a firmware profile.
         baud_rate: Rate when the URL has none; 230400 by default.
+        acceleration: Force a mode of acceleration, as :func:`m100link.connect` takes it.
         authority: Obtain control authority for a moment, when all else is right and the aircraft
             stands on the ground with its motors off.
         tell: Gets each finding at once.
@@ -85,6 +88,7 @@ async def diagnose(
             baud_rate=address.number if is_serial else None,
             firmware=firmware,
             credentials=credentials,
+            acceleration=acceleration,
             authority=authority,
         )
         async with aclosing(talk):
@@ -109,6 +113,7 @@ TELEMETRY_S = 1.1
 
 _ACTIVATION_S = 20.0
 _MANY_MISMATCHES = 3
+_ACCELERATION_S = 4.0  # more, in which an aircraft at rest shows its mode at any rate
 _NOT_IN_F = (AuthorityCode.NOT_IN_F, AuthorityCode.NOT_CHANGED)
 
 
@@ -118,6 +123,7 @@ async def look_at_aircraft(
     baud_rate: int | None,
     firmware: str | FirmwareProfile | None,
     credentials: Credentials | None,
+    acceleration: str | None,
     authority: bool,
 ) -> AsyncGenerator[Finding, None]:
     """Connect and ask, stage by stage; to be closed at the first failure.
@@ -126,7 +132,9 @@ async def look_at_aircraft(
         UsageError: The request cannot be fulfilled: that is no matter of the aircraft.
     """
     try:
-        aircraft = await connect(url, firmware=firmware, baud_rate=baud_rate)
+        aircraft = await connect(
+            url, firmware=firmware, baud_rate=baud_rate, acceleration=acceleration
+        )
     except UsageError:
         raise
     except NoAircraft as error:
@@ -141,6 +149,7 @@ async def look_at_aircraft(
         version = await aircraft.version()
         yield _version(version, aircraft.link.latency)
         yield _firmware(aircraft, version, is_forced=firmware is not None)
+        yield await _acceleration(aircraft)
         stage = Stage.ACTIVATION
         yield await _activation(aircraft, version, credentials)
         stage = Stage.KEY
@@ -262,6 +271,41 @@ def _firmware(aircraft: Aircraft, version: Version, *, is_forced: bool) -> Findi
     return Stage.FIRMWARE.good(
         f"{profile.name}{' (forced)' if is_forced else ''}: {profile.summary}", details=details
     )
+
+
+async def _acceleration(aircraft: Aircraft) -> Finding:
+    """Raw or fused, as the values at rest show."""
+    reader = aircraft._telemetry.acceleration
+    stage, waited = Stage.ACCELERATION, 0.0
+    while reader.has_arrived and reader.seen is None and waited < _ACCELERATION_S:
+        await asyncio.sleep(TELEMETRY_S)
+        waited += TELEMETRY_S
+    mode, seen = reader.mode, reader.seen
+    details = {"mode": mode, "seen": seen}
+    if not reader.has_arrived:
+        return stage.skipped("the telemetry item acceleration does not arrive: nobody knows")
+    if mode is None:
+        return stage.doubtful(
+            "it is neither that of a raw nor that of a fused value at rest: programs get none",
+            ("the aircraft was moved meanwhile, or hangs askew by more than 45°",),
+            (
+                "keep it still for a few seconds, and run this again",
+                "if you know how the PC assistant is set: --acceleration raw, or fused",
+            ),
+            details,
+        )
+    if seen is not None and seen is not mode:
+        return stage.doubtful(
+            f"it is read as {mode}, and its values at rest are {seen}",
+            ("the PC assistant is set otherwise than --acceleration or the configuration says",),
+            ("leave the acceleration out there, or change it in the PC assistant",),
+            details,
+        )
+    words = {
+        AccelerationMode.FUSED: "fused: ground axes, m/s²",
+        AccelerationMode.RAW: "raw: body axes, in g, with gravity; m100link converts it",
+    }
+    return stage.good(words[mode] + ("" if seen else "; forced, and not at rest"), details=details)
 
 
 async def _activation(

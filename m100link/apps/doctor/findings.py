@@ -27,6 +27,7 @@ class Stage(Enum):
     TELEMETRY = "telemetry arrives"
     VERSION = "the aircraft answers"
     FIRMWARE = "its firmware is known"
+    ACCELERATION = "its acceleration is understood"
     ACTIVATION = "it is activated"
     KEY = "the key is the aircraft's"
     MODE_SWITCH = "the mode switch is in F"

@@ -55,6 +55,8 @@ class Settings:
         baud_rate: Baud rate, if the URL has none.
         firmware: Firmware profile, in place of the one that the aircraft's version selects.
         timeout: Seconds to wait for an answer of the aircraft.
+        acceleration: How the PC assistant has it send acceleration, raw or fused; by default one
+            second at rest shows it.
         sim: Bring a virtual aircraft.
         app_id: App id that DJI assigned.
         key: The app's key itself. Every user of this machine can see it: prefer a file.
@@ -112,6 +114,7 @@ class Settings:
     baud_rate: int | None = None
     firmware: str | None = None
     timeout: float | None = None
+    acceleration: str | None = None
     sim: bool = False
     app_id: int | None = None
     key: str | None = field(default=None, repr=False)

@@ -59,7 +59,8 @@ END_TIMEOUT = 15.0  # seconds that an agent has to give control authority back a
 
 _NOT_FOR_FRONTS = ("url", "key", "key_file", "app_id", "token_file", "record", "origins", "unused")
 _FOR_AGENTS = (
-    *("url", "baud_rate", "firmware", "timeout", "sim", "app_id", "key", "key_file", "level"),
+    *("url", "baud_rate", "firmware", "timeout", "acceleration", "sim"),
+    *("app_id", "key", "key_file", "level"),
     *("app_version", "bundle_id", "keep_authority", "max_height", "max_radius"),
     *("record", "no_record", "record_keep", "record_keep_mb"),
 )
@@ -140,6 +141,7 @@ async def owning(
                 firmware=settings.firmware,
                 timeout=settings.timeout,
                 flights=flights,
+                acceleration=settings.acceleration,
             )
         else:
             raise UsageError(

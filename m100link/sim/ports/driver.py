@@ -18,6 +18,7 @@ from urllib.parse import parse_qsl
 from m100link.errors import BadURL, UsageError
 from m100link.link import MemoryTransport, connect_in_memory
 from m100link.link.url import ConnectionString
+from m100link.protocol.records import AccelerationMode
 from m100link.sim.clock import LockstepEventLoop, VirtualClockEventLoop, loop_factory
 from m100link.sim.line import LineFaults, is_telemetry
 from m100link.sim.vehicle.activation import DEMO_APP_ID, DEMO_KEY
@@ -392,6 +393,7 @@ _EXAMPLE = "sim://?firmware=3.1&speed=10&loss=0.1&seed=7"
 _OWN: dict[str, Any] = {
     **{"firmware": str, "seed": int, "app-id": int, "key": str, "level": int},
     **{"cold": bool, "activated": bool, "speed": str, "pace": bool, "baud": int},
+    "acceleration": str,
 }
 _TRUE, _FALSE = ("1", "true", "yes", "on", ""), ("0", "false", "no", "off")
 
@@ -500,7 +502,9 @@ def aircraft_of(url: str) -> VirtualAircraft:
     cold = options.get("cold", False)
     try:
         assistant = AssistantSettings(
-            api_control_enabled=not cold, baud_rate=options.get("baud", 230_400)
+            api_control_enabled=not cold,
+            baud_rate=options.get("baud", 230_400),
+            acceleration=options.get("acceleration", AccelerationMode.FUSED),
         )
         return VirtualAircraft(
             seed=options.get("seed", 0),

@@ -12,9 +12,9 @@ from random import Random
 
 from m100link.geodesy import LocalFrame
 from m100link.protocol.firmware import FirmwareProfile
-from m100link.protocol.records import Device, quaternion
+from m100link.protocol.records import AccelerationMode, Device, quaternion
 from m100link.sim.vehicle.authority import ControlArbiter
-from m100link.sim.vehicle.dynamics import STEPS_PER_SECOND
+from m100link.sim.vehicle.dynamics import GRAVITY, STEPS_PER_SECOND
 from m100link.sim.vehicle.flight import GOOD_GPS, FlightController
 from m100link.sim.vehicle.gimbal import GimbalMount
 from m100link.sim.vehicle.remote import PilotRemote
@@ -24,6 +24,7 @@ from m100link.sim.vehicle.settings import AircraftSettings
 
 
 _AXES = 3
+_NO_NOISE = (0.0, 0.0, 0.0)
 _TABLE = 4093  # prime, so that the columns of a packet do not repeat together
 
 
@@ -182,16 +183,36 @@ class Sensors:
 
     def _read_acceleration(self) -> Values:
         motion = self._motion
-        north, east, up = (
-            motion.acceleration_north,
-            motion.acceleration_east,
-            motion.acceleration_up * self._down,
-        )
-        if not self._scale:
-            return north, east, up
         scale = self._scale * _ACCELERATION_NOISE
-        x, y, z = self._noise()
-        return north + scale * x, east + scale * y, up + scale * z
+        x, y, z = self._noise() if scale else _NO_NOISE
+        if self._authority.assistant.acceleration is AccelerationMode.RAW:
+            felt = self._specific_force()
+            return tuple(
+                (one + scale * off) / GRAVITY for one, off in zip(felt, (x, y, z), strict=True)
+            )
+        return (
+            motion.acceleration_north + scale * x,
+            motion.acceleration_east + scale * y,
+            motion.acceleration_up * self._down + scale * z,
+        )
+
+    def _specific_force(self) -> Values:
+        """What keeps it from falling, in body axes (forward, right, down), m/s²."""
+        motion = self._motion
+        north, east = motion.acceleration_north, motion.acceleration_east
+        down = -motion.acceleration_up - GRAVITY
+        q0, q1, q2, q3 = motion.quaternion()
+        return (
+            (1 - 2 * (q2 * q2 + q3 * q3)) * north
+            + 2 * (q1 * q2 + q0 * q3) * east
+            + 2 * (q1 * q3 - q0 * q2) * down,
+            2 * (q1 * q2 - q0 * q3) * north
+            + (1 - 2 * (q1 * q1 + q3 * q3)) * east
+            + 2 * (q2 * q3 + q0 * q1) * down,
+            2 * (q1 * q3 + q0 * q2) * north
+            + 2 * (q2 * q3 - q0 * q1) * east
+            + (1 - 2 * (q1 * q1 + q2 * q2)) * down,
+        )
 
     def _read_velocity(self) -> Values:
         motion = self._motion

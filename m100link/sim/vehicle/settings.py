@@ -13,6 +13,7 @@ from enum import Enum
 
 from m100link.protocol.commands.activation import RATES_HZ
 from m100link.protocol.items import BY_NAME, ITEMS
+from m100link.protocol.records import AccelerationMode
 from m100link.sim.vehicle.dynamics import Airframe
 from m100link.sim.vehicle.missions.route import MissionSettings
 
@@ -29,12 +30,15 @@ class AssistantSettings:
         ioc_on: Intelligent orientation control; on, it keeps the API out of the F position.
         baud_rate: Baud rate of the serial port, 8N1; a program that sets another one reads garbage.
         rates_hz: Rate per telemetry item: 0 (absent), 1, 10, 50 or 100 Hz.
+        acceleration: Send acceleration raw (body axes, in g, with gravity) or fused (ground axes,
+            m/s²).
     """
 
     api_control_enabled: bool = True
     ioc_on: bool = False
     baud_rate: int = 230_400
     rates_hz: dict[str, int] = field(default_factory=DEFAULT_RATES_HZ.copy)
+    acceleration: AccelerationMode = AccelerationMode.FUSED
 
     def __post_init__(self) -> None:
         """Complete the rates with the defaults and check them."""
@@ -45,7 +49,12 @@ class AssistantSettings:
                 raise ValueError(f"{name} cannot be sent at {rate} Hz: {RATES_HZ}")
         if self.baud_rate <= 0:
             raise ValueError(f"a line of {self.baud_rate} baud carries nothing")
+        if self.acceleration not in tuple(AccelerationMode):
+            raise ValueError(
+                f"acceleration is {' or '.join(AccelerationMode)}, not {self.acceleration!r}"
+            )
         object.__setattr__(self, "rates_hz", DEFAULT_RATES_HZ | self.rates_hz)
+        object.__setattr__(self, "acceleration", AccelerationMode(self.acceleration))
 
 
 class Undecodable(Enum):

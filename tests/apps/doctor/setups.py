@@ -344,6 +344,12 @@ _AIRCRAFT = (
         *(4, "sim://?firmware=1.0-document"),
     ),
     SetUp(
+        "the PC assistant sends acceleration raw, and the program was given another mode",
+        *(None, "", "", 0, "sim://?acceleration=raw", lambda bench: None, APP),
+        doubts=(Stage.ACCELERATION,),
+        arguments={"acceleration": "fused"},
+    ),
+    SetUp(
         "nobody has activated it",
         *(Stage.ACTIVATION, "it is not activated", "nobody activated it", 5, "sim://"),
     ),

@@ -454,7 +454,7 @@ def test_no_two_options_have_the_same_name() -> None:
 @pytest.mark.parametrize(
     ("query", "words"),
     [
-        ("sped=10", "no option 'sped'; it has activated, "),
+        ("sped=10", "no option 'sped'; it has acceleration, activated, "),
         ("seed=x", "seed is a number"),
         ("loss=much", "loss is a number"),
         ("loss=2", "loss is 0 to 1"),

@@ -19,6 +19,7 @@ from m100link.apps.agent.background import call_each, goes_on
 from m100link.apps.agent.messages import Journal
 from m100link.errors import LinkError, M100Error
 from m100link.protocol.commands.activation import Version
+from m100link.protocol.records import AccelerationMode
 from m100link.telemetry.sample import Sample
 from m100link.telemetry.subscription import Newest
 
@@ -107,11 +108,16 @@ class AircraftConnection:
                 self._journal.note(f"not connected: {event.error.seen}", "warning")
 
     async def _pass_on(self, one: Supervised) -> None:
+        is_told = False
         try:
             async for sample in one.telemetry(policy=Newest(50)):
                 if isinstance(sample, Sample):  # events report a gap and the end
                     with goes_on("the telling of telemetry"):
                         call_each(self.on_sample, sample)
+                    here = self.aircraft
+                    if not is_told and here and here.acceleration_mode is AccelerationMode.RAW:
+                        is_told = True
+                        self._journal.note("acceleration comes raw, and is shown without gravity")
         except M100Error:
             return
 
