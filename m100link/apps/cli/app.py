@@ -115,6 +115,10 @@ _ROWS = {
         ("ports", "connection", "", "--json"),
         ("udev", "connection", "/dev/ttyUSB0", "--install"),
         ("doctor", "connection", "sim://", "/dev/ttyUSB0 --report doctor.json"),
+        (
+            *("first-contact", "connection:first_contact", "sim:// --report first.json"),
+            "/dev/ttyUSB0 --name lab-m100 --app-id 1022384 --key-file m100.key",
+        ),
         ("activate", "connection", "sim://", "lab-m100 --app-id 1022384 --key-file m100.key"),
         ("config", "manual", "", "lab-m100"),
         ("completion", "manual", "bash", "--install"),

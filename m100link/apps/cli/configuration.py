@@ -7,6 +7,7 @@ weakest sources of :func:`m100link.apps.station.config.resolve`, which converts 
 
 from __future__ import annotations
 
+import json
 import math
 import os
 import re
@@ -21,7 +22,7 @@ from typing import Any
 from m100link.apps.station.config import Settings
 from m100link.errors import BadURL, UsageError
 from m100link.errors.texts import read_path, read_toml
-from m100link.link.keyfile import read_watched
+from m100link.link.keyfile import read_watched, replace_file
 from m100link.link.url import EXAMPLES, parse_url
 from m100link.protocol.firmware import PROFILES
 from m100link.protocol.records import AccelerationMode
@@ -33,7 +34,10 @@ _OF_ALL = (
     *("firmware", "baud", "timeout", "acceleration"),
     *("app_id", "key_file", "level", "app_version", "bundle_id"),
 )
-_OF_ONE = ("url", *_OF_ALL)
+_SEEN = "seen"
+"""What a first contact found beside the settings: a table that people read."""
+
+_OF_ONE = ("url", _SEEN, *_OF_ALL)
 _ELSEWHERE = ("url", "sim", "key", "token", "origins", "unused")
 _OF_STATION = tuple(one.name for one in fields(Settings) if one.name not in _ELSEWHERE)
 _PATHS = [one.name for one in fields(Settings) if str(one.type).startswith("Path")]
@@ -73,7 +77,8 @@ class Configuration:
         named = None if name is None else self.aircraft.get(name)
         found: list[tuple[str, Mapping[str, Any]]] = []
         if named is not None:
-            found.append((f"{shown(self.path)} [aircraft.{name}]", named))
+            settings = {one: value for one, value in named.items() if one != _SEEN}
+            found.append((f"{shown(self.path)} [aircraft.{name}]", settings))
         elif word is not None:
             self._refuse_strange(word)
         url = word or "" if named is None else named["url"]
@@ -161,6 +166,63 @@ def read_configuration(path: Path | None = None) -> Configuration:
     )
 
 
+def remember(
+    configuration: Configuration,
+    name: str,
+    url: str,
+    found: Mapping[str, str | Mapping[str, str]],
+) -> None:
+    """Write settings of an aircraft into the user's file; everything else in it stays as it is.
+
+    ``name``: the aircraft, which the file may not have yet. ``found``: settings by their keys. A
+    reader sees the file before the change or after it, whole.
+    Raises UsageError: the name cannot be one, or the file cannot be changed so; it stays.
+    """
+    path = configuration.path
+    _check_name(path, name)
+    added = [f"{key} = {_written(value)}" for key, value in found.items()]
+    try:
+        text = path.read_text("utf-8") if configuration.exists else ""
+        wanted = read_toml(text)
+        wanted.setdefault("aircraft", {}).setdefault(name, {"url": url}).update(found)
+        new = _with_lines(text, name, url, set(found), added)
+        if read_toml(new) != wanted:
+            raise ValueError("it is laid out in another way than m100link can change")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        mode = stat.S_IMODE(path.stat().st_mode) if configuration.exists else 0o600
+        replace_file(path.resolve(), new.encode(), mode=mode)
+    except (OSError, ValueError) as error:
+        raise UsageError(
+            f"{shown(path)} was not changed: {error}",
+            remedy=f"write this into its table [aircraft.{name}]: {'; '.join(added)}",
+        ) from error
+
+
+def _with_lines(text: str, name: str, url: str, keys: set[str], added: list[str]) -> str:
+    """The text with these lines in the table of an aircraft, in the place of those keys."""
+    lines = text.splitlines()
+    heads = [place for place, line in enumerate(lines) if line.startswith("[")]
+    is_head = re.compile(rf"\[\s*aircraft\s*\.\s*\"?{name}\"?\s*\]\s*(#.*)?").fullmatch
+    at = next((place for place in heads if is_head(lines[place])), None)
+    if at is None:
+        apart = [""] if lines else []
+        lines += [*apart, f"[aircraft.{name}]", f"url = {json.dumps(url)}", *added]
+    else:
+        end = next((place for place in heads if place > at), len(lines))
+        kept = [line for line in lines[at:end] if line.partition("=")[0].strip() not in keys]
+        blank = next((n for n, line in enumerate(reversed(kept)) if line.strip()), 0)
+        place = len(kept) - blank
+        lines[at:end] = [*kept[:place], *added, *kept[place:]]
+    return "\n".join(lines) + "\n"
+
+
+def _written(value: str | Mapping[str, str]) -> str:
+    """A value as TOML has it: a text in quotes is written as in JSON."""
+    if isinstance(value, str):
+        return json.dumps(value)
+    return f"{{ {', '.join(f'{key} = {json.dumps(one)}' for key, one in value.items())} }}"
+
+
 def shown(path: Path) -> str:
     """The path as people write it."""
     try:
@@ -231,6 +293,8 @@ def _wrong(name: str, value: Any) -> str:
         return "seconds, above 0"
     if name == "firmware" and value not in PROFILES:
         return f"one of {', '.join(PROFILES)}, as text"
+    if name == _SEEN and not isinstance(value, dict):
+        return "a table, which m100link first-contact writes"
     if name == "acceleration" and value not in tuple(AccelerationMode):
         return f"one of {', '.join(AccelerationMode)}, as text"
     return ""

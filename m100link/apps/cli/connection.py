@@ -29,13 +29,17 @@ from m100link.apps.cli.common import (
     err,
     out,
 )
+from m100link.apps.cli.configuration import read_configuration, remember, shown
 from m100link.apps.cli.options import Above0, AsJson, Duration, offered
 from m100link.apps.cli.terminal import ExitCode, finite, print_json, read_line, wants_json
 from m100link.apps.doctor import Finding, Machine, Report, Stage, Verdict, diagnose
+from m100link.apps.doctor.first_contact import Contact, Observation, Topic
+from m100link.apps.doctor.first_contact import first_contact as meet
 from m100link.apps.doctor.machine import RULES_FILE, rule
 from m100link.errors import AckTimeout, LinkError, PortNotFound, UsageError
 from m100link.link.statistics import ROUND_TRIP_BOUNDS_S, RoundTrips
 from m100link.link.transport import serial_ports
+from m100link.link.url import parse_url
 from m100link.protocol.items import BY_RECORD
 
 
@@ -429,6 +433,91 @@ async def _agrees() -> bool:
     if not answer:  # Ctrl-D leaves the cursor behind the question
         out.print()
     return answer.lower() in ("y", "yes")
+
+
+# -- ``m100link first-contact``: the first hour with an aircraft -----------------------------------
+
+
+async def first_contact(
+    url: Url = None,
+    /,
+    *,
+    options: AircraftOptions = AS_SET,
+    name: str | None = None,
+    report: Path | None = None,
+    json: AsJson = None,
+) -> int:
+    """Find out how your aircraft differs from the virtual one, in its first hour, propellers off.
+
+    Nothing moves. The command tells you what to do by hand: lift the aircraft, switch the remote
+    control off, turn its switch. With an app id and a key it also asks for control authority, after
+    you agreed, and gives it back at once.
+
+    Args:
+        name: Name of the aircraft in the configuration file, which keeps what was found; by default
+            the one that was given.
+        report: Write what was found into this file, without secrets, to send it in.
+    """
+    configuration = read_configuration()
+    word = url or options.url or os.environ.get("M100LINK_URL") or configuration.default
+    place = options.place(url)
+    name = name or (word if word in configuration.aircraft else None)
+    app = place.settings
+    as_json = wants_json(json)
+    contact: Contact = await meet(
+        place.url,
+        ask=_asked,
+        credentials=place.credentials() if app.app_id is not None or place.is_virtual else None,
+        firmware=app.firmware,
+        baud_rate=app.baud_rate,
+        timeout=app.timeout,
+        tell=(lambda _: None) if as_json else _tell_observation,
+        say=lambda text: err.print(text, style="bold", markup=False),
+    )
+    described = {"line": _kind_of_line(place), **contact.to_json()}
+    if as_json:
+        print_json(described)
+    if report is not None:
+        _write_report(report, described)
+        err.print(f"written: {report}", markup=False)
+    if name is not None and contact.found:
+        found: dict[str, str | dict[str, str]] = {}
+        mode = contact.get(Topic.ACCELERATION)
+        if mode is not None and mode.is_seen:
+            found["acceleration"] = mode.found
+        found["seen"] = {"on": f"{datetime.now(UTC):%Y-%m-%d}", **contact.found}
+        remember(configuration, name, place.url, found)
+        err.print(f"kept in {shown(configuration.path)} [aircraft.{name}]", markup=False)
+    if contact.ended_by:
+        err.print(f"it ended early: {contact.ended_by}", markup=False)
+    return ExitCode.OK if contact.is_given_back else ExitCode.AUTHORITY
+
+
+def _kind_of_line(place: ConnectionOptions) -> str:
+    """The scheme, and the rate of a serial port: an address is nobody's business."""
+    address = parse_url(place.url, baud_rate=place.settings.baud_rate)
+    return (
+        f"{address.scheme}, {address.number} baud"
+        if address.scheme == "serial"
+        else (address.scheme)
+    )
+
+
+def _tell_observation(one: Observation) -> None:
+    mark = "[yellow]![/]" if one.differs else "[green]✓[/]" if one.is_seen else "[dim]–[/]"
+    out.print(f"{mark} {one.topic.question:<42} ", end="")
+    what = f"{one.found}: {one.seen}" if one.is_seen else f"not seen: {one.seen}"
+    if one.differs:
+        what += f" (the virtual aircraft: {one.topic.assumed})"
+    out.print(what, markup=False, soft_wrap=True)
+
+
+async def _asked(text: str) -> bool:
+    """Have the person do something; without a terminal nobody does."""
+    if not sys.stdin.isatty():
+        return False
+    err.print(f"{text} [y/N] ", end="", markup=False)
+    return (await read_line()).lower() in ("y", "yes")
 
 
 def _write_report(path: Path, described: dict[str, Any]) -> None:

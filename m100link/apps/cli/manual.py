@@ -338,7 +338,7 @@ firmware = "3.1"
 """
 
 _SHOWN = (
-    *("url", "firmware", "baud_rate", "timeout"),
+    *("url", "firmware", "baud_rate", "timeout", "acceleration"),
     *("app_id", "key_file", "key", "level", "app_version", "bundle_id"),
 )
 _CALLED = {"baud_rate": "baud"}

@@ -8,10 +8,17 @@ from contextlib import aclosing
 from dataclasses import replace
 
 from m100link.aircraft import Aircraft, connect
-from m100link.apps.doctor.findings import Finding, Report, Stage, Verdict
 from m100link.apps.doctor.line import look_at_line
 from m100link.apps.doctor.machine import Machine
-from m100link.apps.doctor.port import failed, look_at_latency, look_at_port
+from m100link.apps.doctor.port import (
+    Finding,
+    Report,
+    Stage,
+    Verdict,
+    failed,
+    look_at_latency,
+    look_at_port,
+)
 from m100link.errors import (
     AckTimeout,
     AuthorityError,

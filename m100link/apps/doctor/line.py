@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 from itertools import pairwise
 
-from m100link.apps.doctor.findings import Finding, Stage, Verdict
-from m100link.apps.doctor.port import Ear, failed, open_ear
+from m100link.apps.doctor.port import Ear, Finding, Stage, Verdict, failed, open_ear
 from m100link.errors import LinkError, M100Error, UsageError
 from m100link.link.requests import FIRST_BYTES_S
 from m100link.link.serial_transport import read_inverted

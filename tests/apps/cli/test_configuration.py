@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 pytest.importorskip("cyclopts")
-from m100link.apps.cli.configuration import configuration_path, read_configuration
+from m100link.apps.cli.configuration import (
+    Configuration,
+    configuration_path,
+    read_configuration,
+    remember,
+)
 from m100link.apps.cli.terminal import ExitCode
 from m100link.errors import BadURL, UsageError
 from m100link.sim.vehicle.activation import DEMO_APP_ID
@@ -258,3 +264,58 @@ def test_serve_knows_the_aircraft_and_its_own_table(cli: CommandLine, file: Path
     virtual = cli("serve", "--sim", "--show-config").out
     assert "[defaults]" not in virtual
     assert "m100-that-does-not-exist" not in virtual
+
+
+# -- what a first contact writes into it ----------------------------------------------------------
+
+
+FOUND: dict[str, Any] = {"acceleration": "raw", "seen": {"on": "2026-11-28", "rc_lost": "zeros"}}
+
+
+def test_what_was_found_stands_beside_the_name_and_all_else_stays(file: Path) -> None:
+    file.chmod(0o640)
+    before = file.read_text(encoding="utf-8").splitlines()
+    remember(read_configuration(), "lab-m100", "/dev/other", FOUND)
+    lines = file.read_text(encoding="utf-8").splitlines()
+    at = lines.index("level = 1") + 1
+    assert lines[at : at + 2] == [
+        'acceleration = "raw"',
+        'seen = { on = "2026-11-28", rc_lost = "zeros" }',
+    ]
+    assert [*lines[:at], *lines[at + 2 :]] == before
+    assert file.stat().st_mode & 0o777 == 0o640
+    # `connect` of every verb reads the one; the other is for people.
+    assert said(file, "lab-m100")["acceleration"] == "raw"
+    assert "seen" not in said(file, "lab-m100")
+    remember(read_configuration(), "lab-m100", "", {"acceleration": "fused"})
+    assert said(file, "lab-m100")["acceleration"] == "fused"
+    assert file.read_text(encoding="utf-8").count("acceleration =") == 1
+
+
+def test_an_aircraft_without_a_name_gets_one(file: Path, configuration_file: Path) -> None:
+    remember(read_configuration(), "new", 'tcp://a"b:1', FOUND)
+    assert said(file, "new")["url"] == 'tcp://a"b:1'
+    assert said(file, "other")["url"] == "tcp://127.0.0.1:1"
+    file.unlink()
+    remember(read_configuration(), "new", "/dev/ttyUSB0", FOUND)
+    assert said(file, "new") == {"url": "/dev/ttyUSB0", "acceleration": "raw"}
+    assert file.stat().st_mode & 0o777 == 0o600
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        'aircraft = { lab = { url = "sim://" } }\n',
+        '[aircraft]\nlab.url = "sim://"\n',
+        '[aircraft.lab]\nurl = "sim://"\nseen = """\n[aircraft.lab]\n"""\n',
+        '[aircraft.lab]\nurl = "sim://"\n"acceleration" = "raw"\n',
+    ],
+)
+def test_a_file_of_another_layout_stays_as_it_is(configuration_file: Path, text: str) -> None:
+    configuration_file.write_text(text, encoding="utf-8")
+    with pytest.raises(UsageError, match="was not changed") as caught:
+        remember(Configuration(path=configuration_file, exists=True), "lab", "", FOUND)
+    assert 'acceleration = "raw"' in (caught.value.remedy or "")
+    assert configuration_file.read_text(encoding="utf-8") == text
+    with pytest.raises(UsageError, match="cannot be called"):
+        remember(Configuration(path=configuration_file, exists=True), "a b", "", FOUND)

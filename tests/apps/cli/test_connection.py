@@ -309,3 +309,44 @@ def test_people_get_tables_and_what_is_wrong(
 @pytest.mark.parametrize("wrong", [("--rate", "0"), ("--duration", "-1")])
 def test_what_cannot_be_measured_is_refused(cli: CommandLine, wrong: tuple[str, str]) -> None:
     assert cli("link", "sim://", *wrong).status == 2
+
+
+# -- the first hour with an aircraft --------------------------------------------------------------
+
+
+def test_a_first_contact_asks_reports_and_is_remembered(
+    cli: CommandLine,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    configuration_file: Path,
+) -> None:
+    asked: list[str] = []
+
+    async def agree(text: str) -> bool:
+        asked.append(text)
+        return True
+
+    monkeypatch.setattr(doctor_module, "_asked", agree)
+    place = tmp_path / "first.json"
+    url = "sim://?firmware=3.1&acceleration=raw"
+    outcome = cli("first-contact", url, "--name", "lab", "--report", str(place))
+    assert outcome.status == 0
+    [found] = outcome.objects
+    assert found["differences"] == ["acceleration"]
+    assert "PROPELLERS OFF" in asked[0]
+    obtained = outcome.err.index("control authority is OBTAINED; nothing moves")
+    assert outcome.err.index("control authority is given back") > obtained
+    written = place.read_text(encoding="utf-8")
+    report = json.loads(written)
+    assert {name: report[name] for name in found} == found
+    assert report["line"] == "sim"
+    for secret in (DEMO_KEY.reveal().hex(), str(DEMO_APP_ID), "22.5"):
+        assert secret not in written
+    assert 'acceleration = "raw"' in configuration_file.read_text(encoding="utf-8")
+    assert cli("config", "lab").objects[0]["in_force"]["acceleration"]["value"] == "raw"
+
+
+def test_without_a_terminal_nothing_is_tried(cli: CommandLine) -> None:
+    [found] = cli("first-contact", "sim://").objects
+    assert found["ended_by"] == "the propellers may be on: nothing was tried"
+    assert [one["topic"] for one in found["observations"]] == ["version"]

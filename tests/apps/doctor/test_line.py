@@ -14,8 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from m100link.apps.doctor import diagnosis, line
-from m100link.apps.doctor.findings import Stage, Verdict
 from m100link.apps.doctor.line import Heard, hear
+from m100link.apps.doctor.port import Stage, Verdict
 from m100link.link.serial_transport import read_inverted
 from m100link.link.url import ConnectionString, parse_url
 from m100link.wire import Frame

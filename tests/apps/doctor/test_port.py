@@ -10,9 +10,8 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from m100link.apps.doctor.findings import Finding, Stage, Verdict
 from m100link.apps.doctor.machine import Machine, Permission, Process
-from m100link.apps.doctor.port import Ear, look_at_latency, look_at_port
+from m100link.apps.doctor.port import Ear, Finding, Stage, Verdict, look_at_latency, look_at_port
 from m100link.sim.clock import virtual_clock_loop
 from tests.apps.doctor.bench import FakeMachine
 
