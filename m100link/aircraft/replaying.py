@@ -90,7 +90,8 @@ async def open_replay(
     """The aircraft of a recording, played from the next turn of the event loop on."""
     wanted = parse_replay(url) if isinstance(url, str) else url
     flight = read(wanted.path, acceleration=acceleration)
-    begin = await begin_of(flight, is_moved=holds or wanted.from_s > 0.0)
+    is_moved = holds or wanted.from_s > 0.0
+    begin = await begin_of(flight, is_moved=is_moved, firmware=firmware)
     if wanted.from_s > begin.duration_s:
         raise UsageError(
             f"{flight.path} is {begin.duration_s:.1f} s long and cannot be played from "
@@ -104,7 +105,7 @@ async def open_replay(
         flight, begin, speed=wanted.speed, from_s=wanted.from_s, to_s=wanted.to_s, holds=holds
     )
     link = ReplayedLink(player)
-    aircraft = Aircraft(link, firmware=firmware, acceleration=flight.acceleration_by(known))
+    aircraft = Aircraft(link, firmware=firmware, acceleration=begin.acceleration)
     aircraft._requests.take_recorded(begin.version, known)
     telemetry = aircraft._telemetry
     telemetry.utc_offset_s = player.utc_offset_s

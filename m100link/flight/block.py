@@ -314,7 +314,8 @@ class ControlBlock:
             if self._life.feed(BlockInput.PAUSE):
                 self._setpoints.silence()
         elif after in (AuthorityState.PAUSED, AuthorityState.LOST):
-            self.end(StopCause.AUTHORITY_LOST, authority_lost(reason))
+            lost_by = authority_lost(reason, self._commander.state.remote_control)
+            self.end(StopCause.AUTHORITY_LOST, lost_by)
         self.guardian.update()  # behind what ends the block
 
     def _on_stopped(self) -> None:

@@ -126,8 +126,12 @@ def _obstacles(state: AircraftState, firmware: FirmwareProfile) -> list[tuple[st
             (f"the battery is at {battery.percent} %, and it may not fly any more", "change it")
         )
     rc = known(state, RemoteControl)
+    # Some aircraft's item goes on as it was, in F: then nothing in telemetry tells it.
+    off = ("the remote control is off or out of reach", "switch it on, or go nearer")
     if rc is None:
         found.append(("the mode switch is not in F", "move the mode switch to F"))
+    elif not rc.is_heard:
+        return [off]
     elif not rc.is_in_f:
         found.append(
             (f"the mode switch is in {rc.mode_switch.name}, not in F", "move the mode switch to F")
@@ -141,8 +145,7 @@ def _obstacles(state: AircraftState, firmware: FirmwareProfile) -> list[tuple[st
         )
     found += [
         ("API control is not enabled", "tick 'enable API control' in the PC assistant"),
-        # Its item goes on as it was, in F: nothing in telemetry tells it.
-        ("the remote control is off or out of reach", "switch it on, or go nearer"),
+        off,
     ]
     if firmware.ioc_must_be_off and not firmware.authority_refusal_has_reason:
         found.append(("IOC is on", "turn IOC off in the DJI app"))
@@ -196,7 +199,7 @@ async def explained_loss(commander: Commander, loss: AuthorityLost) -> Authority
     while authority.reason is LossReason.UNKNOWN and clock() < deadline:  # noqa: ASYNC110 (15 times)
         await asyncio.sleep(_EXPLANATION_STEP_S)
     if authority.reason not in (LossReason.NONE, LossReason.UNKNOWN):
-        return authority_lost(authority.reason)
+        return authority_lost(authority.reason, commander.state.remote_control)
     remote_control = commander.state.remote_control
     if remote_control is None or not remote_control.is_in_f:
         return loss
@@ -215,8 +218,15 @@ def is_unexplained(error: BaseException | None) -> bool:
     return isinstance(error, AuthorityLost) and error.reason is LossReason.UNKNOWN
 
 
-def authority_lost(reason: LossReason) -> AuthorityLost:
-    """The error for a loss of authority with that reason."""
+def authority_lost(reason: LossReason, rc: RemoteControl | None = None) -> AuthorityLost:
+    """The error for a loss of authority with that reason; ``rc``: the channels at that time."""
+    if reason is LossReason.MODE_SWITCH and rc is not None and not rc.is_heard:
+        return AuthorityLost(
+            "the remote control is not heard any more: all its channels read 0",
+            reason=reason,
+            cause="it is off or out of reach: then the aircraft goes home by itself",
+            remedy="switch it on, or go nearer; then start a new control block",
+        )
     meaning, remedy = {
         LossReason.MODE_SWITCH: (
             "the pilot moved the mode switch out of F",

@@ -16,6 +16,7 @@ from m100link.log.damage import Damage
 from m100link.log.reading import Chunk, FlightLog, Message
 from m100link.protocol.commands.activation import GetVersion, Version
 from m100link.protocol.firmware import FirmwareProfile
+from m100link.protocol.records import AccelerationMode
 from m100link.session.events import SessionMode
 from m100link.wire import Frame, FrameDecoder
 
@@ -46,6 +47,7 @@ class Begin(NamedTuple):
         version: The aircraft's first answer; None when it did not answer in the first minute.
         firmware: By which telemetry was read; None when that was never known.
         events: Control authority over time; for playing from elsewhere than the beginning.
+        acceleration: The mode in which it was sent; None when that was never known.
     """
 
     at: float
@@ -55,6 +57,7 @@ class Begin(NamedTuple):
     version: Version | None
     firmware: FirmwareProfile | None
     events: tuple[Message, ...] = ()
+    acceleration: AccelerationMode | None = None
 
     @property
     def is_ended(self) -> bool:
@@ -62,21 +65,24 @@ class Begin(NamedTuple):
         return self.damage.is_ended
 
 
-async def begin_of(flight: FlightLog, *, is_moved: bool = True) -> Begin:
+async def begin_of(
+    flight: FlightLog, *, is_moved: bool = True, firmware: FirmwareProfile | None = None
+) -> Begin:
     """Look through a recording.
 
-    ``is_moved``: whether it may be played from elsewhere than its beginning. Raises ``UsageError``:
-    it holds no bytes of a line, or cannot be read.
+    ``is_moved``: whether it may be played from elsewhere than its beginning. ``firmware``: the
+    profile to read telemetry by, if not that of the flight. Raises ``UsageError``: it holds no
+    bytes of a line, or cannot be read.
     """
     try:
         if flight.path.stat().st_size > _LARGE:
-            return await asyncio.to_thread(_begin_of, flight, is_moved)
-        return _begin_of(flight, is_moved)
+            return await asyncio.to_thread(_begin_of, flight, is_moved, firmware)
+        return _begin_of(flight, is_moved, firmware)
     except OSError as error:
         raise UsageError(f"{flight.path} cannot be read: {error.strerror}") from error
 
 
-def _begin_of(flight: FlightLog, is_moved: bool) -> Begin:
+def _begin_of(flight: FlightLog, is_moved: bool, firmware: FirmwareProfile | None) -> Begin:
     damage = flight.damage
     first: Chunk | None = None
     version: Version | None = None
@@ -104,7 +110,10 @@ def _begin_of(flight: FlightLog, is_moved: bool) -> Begin:
         )
     duration = max(0.0, (damage.ended_utc or 0.0) - first.utc)
     events = tuple(flight.messages(EVENT)) if is_moved else ()
-    return Begin(first.at, first.utc, duration, damage, version, flight.firmware, events)
+    known = flight.firmware
+    chosen = firmware or known
+    mode = None if chosen is None else flight.acceleration_by(chosen)
+    return Begin(first.at, first.utc, duration, damage, version, known, events, mode)
 
 
 def _version(frame: Frame) -> Version | None:

@@ -316,6 +316,14 @@ class RemoteControl(NamedTuple):
         """Whether the mode switch stands in F, the position that allows API control."""
         return self.mode_switch is RcMode.F
 
+    @property
+    def is_heard(self) -> bool:
+        """False while all channels read 0, as ETHZ's driver expects of a remote that is off.
+
+        Neither position of the gear is 0. Such channels are not in F.
+        """
+        return self.gear is None or any(self)
+
 
 @quick
 class Gimbal(NamedTuple):

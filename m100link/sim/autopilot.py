@@ -21,6 +21,7 @@ from m100link.protocol.command import Notification, encode_code
 from m100link.protocol.commands.activation import Activate, Version
 from m100link.protocol.commands.control import Move
 from m100link.protocol.commands.monitor import AuthorityChanged, FromMobile
+from m100link.protocol.firmware import Generation
 from m100link.session import Endpoint, SessionMode
 from m100link.sim.commands import CommandTable, Counters, LastCommand
 from m100link.sim.line import TelemetryPusher
@@ -212,7 +213,7 @@ class Autopilot:
             message = self._from_mobile.popleft()
             self._mobile_free_at = vehicle.time + len(message) / _MOBILE_BYTES_PER_S
             self.notify(FromMobile(message))
-        if vehicle.missions.is_active:
+        if vehicle.missions.is_active and self.profile.generation >= Generation.V3_1:
             for notification in vehicle.missions.news(vehicle.time):
                 self.notify(notification)
         frame = self._telemetry.frame(self._sequence)

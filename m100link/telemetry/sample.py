@@ -199,7 +199,7 @@ class AccelerationReader:
             self._find(found)
 
     def _shown(self) -> AccelerationMode | None:
-        """What the window shows, if it and those before it are enough."""
+        """The mode that the window shows, if it and those before it are enough."""
         x, y, z = (total / self._count for total in self._sum)
         length = math.hypot(x, y, z)
         # Fused values this small may come from any flight; raw ones from free fall alone.

@@ -273,6 +273,6 @@ class AircraftState(RecordViews):
             "height_m": self.position and round(self.position.height_m, 2),
             "battery_percent": self.battery and self.battery.percent,
             "gps_health": self.position and self.position.gps_health,
-            "mode_switch": rc.mode_switch.name if rc else None,
+            "mode_switch": rc.mode_switch.name if rc and rc.is_heard else None,
             "control_device": getattr(device, "name", device),
         }

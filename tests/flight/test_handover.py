@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from types import SimpleNamespace
-from typing import cast
+from typing import Any, cast
 
 import pytest
 
@@ -14,7 +14,7 @@ from m100link.flight.handover import obtain_authority, release_authority
 from m100link.flight.tasks import Commander
 from m100link.protocol.codes import AuthorityCode
 from m100link.protocol.commands.control import RequestAuthority
-from m100link.sim import NO_FAULTS, AssistantSettings, LineFaults
+from m100link.sim import NO_FAULTS, AircraftSettings, AssistantSettings, LineFaults
 from tests.flight.foreign_aircraft import APP_ID, KEY, foreign_aircraft
 from tests.rig import FIRMWARES, NORTH, Rig, rig
 
@@ -296,8 +296,24 @@ async def test_a_remote_control_that_is_off_is_among_what_it_can_be(firmware: st
         flown.virtual.remote.is_switched_on = False
         await asyncio.sleep(5.0)
         error = await refusal(flown)
-        assert "mode switch F" in error.seen  # which is where it stood
-        assert "the remote control is off or out of reach" in error.cause
+        assert "mode switch unknown" in error.seen  # all channels read 0
+        assert error.cause == "the remote control is off or out of reach"
+
+
+@pytest.mark.parametrize(
+    ("reads", "why"), [("zeros", "not heard any more"), ("kept", "authority passed away")]
+)
+async def test_a_remote_control_that_is_lost_in_flight_is_not_a_switch_that_was_moved(
+    reads: Any, why: str
+) -> None:
+    async with rig(firmware="3.1", settings=AircraftSettings(rc_lost_reads=reads)) as flown:
+        with pytest.raises(AuthorityLost) as caught:
+            async with flown.aircraft.control() as control:
+                await control.take_off()
+                flown.virtual.rc_lost()
+                await asyncio.sleep(30.0)
+        assert why in caught.value.seen
+        assert "moved the mode switch" not in str(caught.value)
 
 
 @each_firmware

@@ -371,11 +371,15 @@ def statuses(program: Host) -> list[tuple[float, Any]]:
     ]
 
 
-def test_an_aircraft_without_a_mission_pushes_nothing_about_missions() -> None:
-    program = host()
+def test_an_aircraft_without_a_mission_pushes_that_it_has_none() -> None:
+    """As an owner of a Matrice 100 with 3.1.10 reports (Onboard-SDK 293)."""
+    program = host(status_when_idle=False)
     program.wait(5.0)
     assert program.pushes(0x03) == program.pushes(0x04) == []
-    chatty = host(status_when_idle=True)
+    older = Host(firmware="2.3")
+    older.wait(5.0)
+    assert older.pushes(0x03) == [], "which knows no missions"
+    chatty = host()
     chatty.wait(5.05)
     assert len(statuses(chatty)) == pytest.approx(50, abs=1)
     assert {status for _, status in statuses(chatty)} == {IdleStatus()}

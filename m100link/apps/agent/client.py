@@ -221,7 +221,7 @@ class VehicleView:
     def switch(self) -> RcMode | None:
         """The pilot's mode switch; None when nobody knows."""
         remote = self.get(RemoteControl)
-        return None if remote is None else remote.mode_switch
+        return remote.mode_switch if remote is not None and remote.is_heard else None
 
 
 # -- the client: what comes in, and the orders that go out -----------------------------------------

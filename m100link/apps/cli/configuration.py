@@ -35,7 +35,7 @@ _OF_ALL = (
     *("app_id", "key_file", "level", "app_version", "bundle_id"),
 )
 _SEEN = "seen"
-"""What a first contact found beside the settings: a table that people read."""
+"""The findings of a first contact, beside the settings: a table that people read."""
 
 _OF_ONE = ("url", _SEEN, *_OF_ALL)
 _ELSEWHERE = ("url", "sim", "key", "token", "origins", "unused")

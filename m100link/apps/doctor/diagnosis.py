@@ -369,6 +369,12 @@ def _mode_switch(aircraft: Aircraft) -> Finding:
             ("its telemetry rate is 0, or the remote control is off",),
             ("set it in the PC assistant",),
         )
+    if not rc.is_heard:
+        return Stage.MODE_SWITCH.failed(
+            "the remote control is not heard: all its channels read 0",
+            ("it is off or out of reach",),
+            ("switch it on, and run this again",),
+        )
     if rc.is_in_f:
         return Stage.MODE_SWITCH.good("F", details={"mode": rc.mode})
     return Stage.MODE_SWITCH.failed(

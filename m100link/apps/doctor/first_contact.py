@@ -55,7 +55,7 @@ _HELD = 5000  # a stick that is held all the way, or nearly
 
 
 class Topic(Enum):
-    """What is found out: the question, and what the virtual aircraft assumes."""
+    """A point that is found out: the question, and the assumption of the virtual aircraft."""
 
     VERSION = "version text", "of a known firmware"
     ITEM_RATES = "telemetry items, Hz", "as in the document"
@@ -78,7 +78,7 @@ class Topic(Enum):
 
     @property
     def assumed(self) -> str:
-        """What the virtual aircraft does."""
+        """The behaviour of the virtual aircraft."""
         return self.value[1]
 
 
@@ -128,12 +128,12 @@ class Contact:
 
     @property
     def differences(self) -> list[Observation]:
-        """What this aircraft does otherwise than the virtual one."""
+        """The points on which this aircraft differs from the virtual one."""
         return [one for one in self.observations if one.differs]
 
     @property
     def found(self) -> dict[str, str]:
-        """What was seen, by topic, for the configuration."""
+        """The findings by topic, for the configuration."""
         return {one.topic.name.lower(): one.found for one in self.observations if one.is_seen}
 
     def to_json(self) -> dict[str, Any]:
@@ -562,7 +562,7 @@ def _steepest(path: list[_Point]) -> tuple[float, float]:
 
 
 def _lost(did: bool, before: RemoteControl | None, late: list[RemoteControl]) -> tuple[str, str]:
-    """What became of the channels, and the figures."""
+    """The end of the channels, and the figures."""
     if not did:
         return "", "nobody switched it off"
     if before is None:

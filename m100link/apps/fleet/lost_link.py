@@ -220,6 +220,8 @@ class LostLinkAction:
         remote = self._client.view.get(RemoteControl)
         if remote is None:
             return ""
+        if not remote.is_heard:
+            return "the remote control is not heard"
         if not remote.is_in_f:
             return "the remote control is not in F"
         sticks = (remote.roll, remote.pitch, remote.yaw, remote.throttle)

@@ -12,7 +12,7 @@ import contextlib
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import fields
-from typing import Any, Protocol, get_type_hints
+from typing import Any, Literal, Protocol, get_args, get_origin, get_type_hints
 from urllib.parse import parse_qsl
 
 from m100link.errors import BadURL, UsageError
@@ -377,7 +377,7 @@ SITE_OPTIONS: dict[str, str] = {
     for name in (
         *("latitude_deg", "longitude_deg", "ground_altitude", "heading_deg"),
         *("wind_north", "wind_east", "gusts", "noise", "movement_timeout", "server_delay"),
-        "gimbal_follows",
+        *("gimbal_follows", "rc_lost_reads"),
     )
 }
 """The option name of each field of :class:`AircraftSettings` that is an option."""
@@ -434,6 +434,10 @@ def _read(url: str, name: str, text: str, kind: Any) -> Any:
             raise _bad(url, f"{name} is 1 or 0, not {text!r}")
         return text.lower() in _TRUE
     if kind is str:
+        return text
+    if words := get_args(kind) if get_origin(kind) is Literal else ():
+        if text not in words:
+            raise _bad(url, f"{name} is {' or '.join(words)}, not {text!r}")
         return text
     try:
         return int(text) if kind is int or kind == (int | None) else float(text)

@@ -25,6 +25,7 @@ from m100link.sim.vehicle.settings import AircraftSettings
 
 _AXES = 3
 _NO_NOISE = (0.0, 0.0, 0.0)
+_ALL_ZERO = (0, 0, 0, 0, 0, 0)
 _TABLE = 4093  # prime, so that the columns of a packet do not repeat together
 
 
@@ -197,7 +198,7 @@ class Sensors:
         )
 
     def _specific_force(self) -> Values:
-        """What keeps it from falling, in body axes (forward, right, down), m/s²."""
+        """The force per mass that keeps it from falling: forward, right, down, m/s²."""
         motion = self._motion
         north, east = motion.acceleration_north, motion.acceleration_east
         down = -motion.acceleration_up - GRAVITY
@@ -273,6 +274,8 @@ class Sensors:
         )
 
     def _read_rc(self) -> Values:
+        if self._settings.rc_lost_reads == "zeros" and not self._remote.is_connected:
+            return _ALL_ZERO
         return self._remote.channels()
 
     def _read_gimbal(self) -> Values:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import Enum
+from typing import Literal
 
 from m100link.protocol.commands.activation import RATES_HZ
 from m100link.protocol.items import BY_NAME, ITEMS
@@ -94,6 +95,9 @@ class AircraftSettings:
         movement_timeout: Seconds without a movement command until the aircraft brakes and hovers
             (undocumented; DJI's header says only that it hovers).
         rc_lost_after: Seconds without remote control until it goes home by itself.
+        rc_lost_reads: The channels in telemetry meanwhile: ``zeros`` (ETHZ's driver takes gear 0
+            for a remote control that is off), or ``kept``: centred sticks, and both switches as
+            they stood.
         server_delay: Seconds that DJI's server takes to answer. A new aircraft answers the first
             attempt of an app with 3, and all others in this time.
         forget_acks_after: Seconds after which a stored ack is forgotten; None keeps it, as the
@@ -136,6 +140,7 @@ class AircraftSettings:
     gps_seconds: float = 30.0
     movement_timeout: float = 0.5
     rc_lost_after: float = 3.0
+    rc_lost_reads: Literal["zeros", "kept"] = "zeros"
     server_delay: float = 0.0
     forget_acks_after: float | None = 5.0
     undecodable: Undecodable = Undecodable.NOT_SUPPORTED

@@ -9,6 +9,7 @@ import asyncio
 import json
 import struct
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -396,3 +397,14 @@ async def test_a_line_that_goes_ends_it_with_what_was_seen() -> None:
     contact, _ = await met(there, ask)
     assert contact.ended_by
     assert contact.found["acceleration"] == "raw"
+
+
+def test_the_manual_says_on_how_many_aircraft_each_assumption_was_seen() -> None:
+    page = (Path(__file__).parents[3] / "docs/explanation/simulator-limits.md").read_text("utf-8")
+    rows = [line.split(" | ") for line in page.splitlines() if line.startswith("| `")]
+    named = "".join(row[0] for row in rows)
+    for topic in Topic:
+        assert f"`{topic.name.lower()}`" in named, topic
+    seen = [row[2] for row in rows if len(row) == 4 and row[2].isdecimal()]
+    assert set(seen) == {"0"}, "a number rises with a report, not by itself"
+    assert len(seen) == 11

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import struct
+from random import Random
+from typing import Any
 
 import pytest
 
 from m100link.protocol import Device, FlightPhase, RcMode, Setpoint, StartTask, Task
-from m100link.sim import PilotRemote
+from m100link.protocol.firmware import profile
+from m100link.protocol.records import RemoteControl
+from m100link.sim import AircraftSettings, PilotRemote, Vehicle
 from tests.sim.host import Host
 
 NORTH = Setpoint.velocity(north=3, east=0, up=0, yaw_rate_deg_s=0)
@@ -418,3 +422,16 @@ def test_virtual_rc_is_unknown_before_3_1(firmware: str) -> None:
     ack = host.ask_raw(b"\x05\x00\x01")
     assert ack is not None
     assert ack.data == b"\x00\xff"
+
+
+@pytest.mark.parametrize(
+    ("reads", "channels"), [("zeros", (0,) * 6), ("kept", (0, 0, 0, 0, 8000, -4545))]
+)
+def test_the_channels_of_a_remote_control_that_is_off(reads: Any, channels: Any) -> None:
+    vehicle = Vehicle(Random(1), profile("3.1"), settings=AircraftSettings(rc_lost_reads=reads))
+    vehicle.remote.set_mode("F")
+    read = vehicle.sensors.reader("rc")
+    assert read() == (0, 0, 0, 0, 8000, -4545)
+    vehicle.remote.is_switched_on = False
+    assert read() == channels
+    assert RemoteControl(*map(int, read())).is_heard is (reads == "kept")

@@ -41,7 +41,8 @@ class MissionSettings:
     Attributes:
         status_hz: Rate of the status push 0x02/0x03. At 0 no mission pushes anything: the box
             *Ground Station Status* of the assistant is not ticked.
-        status_when_idle: Push the status before the first mission, too.
+        status_when_idle: Push the status before the first mission, too, as an owner of a 3.1.10
+            reports.
         takes_off_by_itself: A waypoint mission started on the ground takes off; else it is refused.
         busy_is_one_code: Answer "conditions not met" for all of taking off, landing, going home
             and starting motors, instead of a code for each.
@@ -49,7 +50,7 @@ class MissionSettings:
             documents of 2017).
         farthest_points: And at most so far, metres.
         longest_route: From the first waypoint to the last, metres.
-        longest_way: The route with the ways from and to home, metres.
+        longest_way: The route with the ways from and to home, metres; DJI's support says 40 km.
         farthest_start: A mission farther away than this does not start, metres.
         least_battery_percent: At this charge or below, no mission starts.
         low_battery_returns: At the low-battery level a mission is broken off for going home.
@@ -57,7 +58,8 @@ class MissionSettings:
             back and a program resumes it; else it is broken off.
         stick_pauses: The pilot's roll or throttle stick pauses a waypoint mission. (Pitch is its
             speed, and yaw its heading where the yaw mode says so.)
-        radius_limit: Greatest distance of a mission from home, metres, if the app sets one.
+        radius_limit: Greatest distance of a mission from home, metres. The app's is 500 m as a
+            rule, and holds even where the app shows it as off; infinity is none.
         never_logged_in: Nobody ever logged in to the app: limits of 30 m height, 50 m around home.
         beginner_mode: The app's beginner mode, in which no mission starts.
         no_fly_zones: Circles that no mission may enter.
@@ -74,19 +76,19 @@ class MissionSettings:
     """
 
     status_hz: float = 10.0
-    status_when_idle: bool = False
+    status_when_idle: bool = True
     takes_off_by_itself: bool = True
     busy_is_one_code: bool = False
     closest_points: float = 2.0
     farthest_points: float = 2_000.0
     longest_route: float = 30_000.0
-    longest_way: float = 60_000.0
+    longest_way: float = 40_000.0
     farthest_start: float = 2_000.0
     least_battery_percent: float = 30.0
     low_battery_returns: bool = True
     leaving_f_pauses: bool = False
     stick_pauses: bool = False
-    radius_limit: float = math.inf
+    radius_limit: float = 500.0
     never_logged_in: bool = False
     beginner_mode: bool = False
     no_fly_zones: tuple[NoFlyZone, ...] = ()

@@ -189,7 +189,7 @@ def test_going_home_at_low_battery_may_be_switched_off() -> None:
 
 
 def test_a_restart_forgets_everything() -> None:
-    program = on_the_way()
+    program = on_the_way(host(status_when_idle=False))
     program.aircraft.reboot()
     program.wait(3.0)
     missions = program.vehicle.missions

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -196,9 +197,17 @@ PLANS: dict[str, tuple[list[tuple[float, float, float]], dict[str, Any], dict[st
 @pytest.mark.parametrize("name", PLANS)
 def test_a_plan_against_the_limits(name: str) -> None:
     places, fields, missions, code = PLANS[name]
-    program = host(**missions)
+    program = host(**{"radius_limit": math.inf} | missions)
     points = [point(index, *place) for index, place in enumerate(places)]
     assert upload(program, points, **fields)[1][-1] == OK
+    assert start_waypoints(program) == code
+
+
+@pytest.mark.parametrize(("north", "code"), [(499.0, OK), (501.0, Code.TOO_FAR_FROM_HOME)])
+def test_the_radius_of_the_app_is_500_m(north: float, code: Code) -> None:
+    """As owners report (Mobile-SDK-Android 317 and 809), whatever the app shows."""
+    program = host()
+    upload(program, [point(0, 0, 0, 10), point(1, north, 0, 10)])
     assert start_waypoints(program) == code
 
 

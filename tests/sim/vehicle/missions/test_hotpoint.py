@@ -95,8 +95,9 @@ def test_what_is_wrong_with_a_start(code: Code, fields: dict[str, Any]) -> None:
 
 
 def test_where_a_circle_may_be() -> None:
-    assert flying().ask(hotpoint(2001.0)).code == Code.TOO_FAR_AWAY
-    assert flying().ask(hotpoint(1999.0)).code == OK
+    assert flying(radius_limit=math.inf).ask(hotpoint(2001.0)).code == Code.TOO_FAR_AWAY
+    assert flying(radius_limit=math.inf).ask(hotpoint(1999.0)).code == OK
+    assert flying().ask(hotpoint(501.0)).code == Code.TOO_FAR_FROM_HOME
     near = flying(radius_limit=100.0)
     answer = near.ask(hotpoint(60.0, radius=41.0, angular_rate=5.0))
     assert answer.code == Code.TOO_FAR_FROM_HOME

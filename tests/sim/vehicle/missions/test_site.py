@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-import math
-
 import pytest
 
 from m100link.sim.vehicle.missions.route import LocalPlace, MissionSettings, NoFlyZone, Site
@@ -17,7 +15,7 @@ def test_a_place_is_in_metres_from_the_origin() -> None:
 
 
 def test_limits_as_set_and_those_of_an_app_without_a_login() -> None:
-    assert (site().height_limit, site().radius_limit) == (120.0, math.inf)
+    assert (site().height_limit, site().radius_limit) == (120.0, 500.0)
     assert site(radius_limit=300.0).radius_limit == 300.0
     strict = site(never_logged_in=True, radius_limit=300.0)
     assert (strict.height_limit, strict.radius_limit) == (30.0, 50.0)
