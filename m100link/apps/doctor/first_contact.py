@@ -172,7 +172,7 @@ async def first_contact(
     credentials: Credentials | None = None,
     firmware: str | None = None,
     baud_rate: int | None = None,
-    timeout: float = 3.0,
+    timeout: float | None = None,
     tell: Callable[[Observation], object] = lambda _: None,
     say: Callable[[str], object] = lambda _: None,
     open_aircraft: Callable[[Tap], Awaitable[Aircraft]] | None = None,
@@ -185,7 +185,7 @@ async def first_contact(
         credentials: App id and key; without them nothing is activated and no authority asked for.
         firmware: Force a firmware profile.
         baud_rate: Rate when the URL has none.
-        timeout: Seconds until the aircraft has to answer.
+        timeout: Seconds until the aircraft has to answer, as :func:`m100link.connect` takes them.
         tell: Gets each observation at once.
         say: Gets what happens meanwhile, such as that control was obtained.
         open_aircraft: Connects in place of :func:`m100link.connect`, with this tap.

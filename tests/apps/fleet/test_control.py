@@ -31,7 +31,7 @@ from m100link.protocol.setpoint import Setpoint
 from m100link.sim.virtual import VirtualAircraft
 from tests.apps.bus.memory import Weather
 from tests.apps.fleet.conftest import Rig
-from tests.apps.fleet.missions.test_manager import away
+from tests.apps.fleet.missions.conftest import away
 
 pytestmark = pytest.mark.anyio
 

@@ -11,7 +11,6 @@ from typing import Any, cast
 import anyio
 import pytest
 
-from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.control_session import ControlState
 from m100link.apps.agent.transports import memory_channels
@@ -25,7 +24,7 @@ from m100link.apps.ros2.control import (
     speed,
     toward,
 )
-from m100link.errors import BadSetpoint, LinkLost, MissionRunning, UsageError
+from m100link.errors import BadSetpoint, UsageError
 from m100link.protocol.records import FlightPhase, FlightStatus
 from m100link.protocol.setpoint import Setpoint
 from tests.apps.ros2.conftest import Program, Rig
@@ -191,27 +190,6 @@ def twist(x: float, y: float, z: float, turn: float) -> dict[str, Any]:
         "linear": {"x": x, "y": y, "z": z},
         "angular": {"x": 0.0, "y": 0.0, "z": turn},
     }
-
-
-@pytest.mark.parametrize("ends", [True, False])
-async def test_a_landing_is_asked_for_again_behind_a_mission_that_ends_or_does_not(
-    ends: bool,
-) -> None:
-    control = object.__new__(RosControl)
-    asked: list[type[orders.Order]] = []
-    said: list[str] = []
-    control._agent = cast(Any, SimpleNamespace(note=said.append))
-
-    async def ask(order: orders.Order, **_: object) -> None:
-        asked.append(type(order))
-        if len(asked) == 1:
-            raise MissionRunning("a mission flies")
-        if isinstance(order, orders.StopMission) and not ends:
-            raise LinkLost("no answer")
-
-    await control._begin(cast(Any, ask), orders.Land(), asyncio.Event())
-    assert asked == [orders.Land, orders.StopMission, orders.Land]
-    assert said == ([] if ends else ["the mission before land: no answer"])
 
 
 def test_speeds() -> None:

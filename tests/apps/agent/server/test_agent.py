@@ -197,7 +197,8 @@ async def test_what_was_asked_before_a_stop_and_comes_after_it_moves_nothing(rig
         agent.steer(rig.token, NORTH)
     agent.begin(orders.RenewLease(rig.token), "", ignore, asked_at)
     await agent.begin(orders.Release(), rig.token, ignore, asked_at)
-    assert not rig.holding.has_authority
+    is_still_held = rig.holding.has_authority
+    assert not is_still_held
     await agent.begin(orders.Obtain(), rig.token, ignore, agent.now)
     assert rig.holding.has_authority
     with pytest.raises(GuardRefused, match="STOP was pressed after land was asked"):
@@ -261,7 +262,7 @@ async def test_a_hover_of_somebody_else_ends_the_stream_and_the_holders_own_does
     [
         orders.FlyPattern(1),
         orders.StartMotors(),
-        orders.StartHotpoint(example(orders.StartHotpoint).circle),
+        example(orders.StartHotpoint),
     ],
     ids=lambda one: one.label,
 )

@@ -653,7 +653,9 @@ async def test_a_press_counts_from_when_it_was_made_in_the_page(rig: Rig) -> Non
     assert "STOP was pressed after" in tab.refusal.seen
     said_at = 1000 * rig.agent.now
     going = rig.front.background.spawn(tab.attempt(pressed), "go home")
-    await rig.until(lambda: rig.front.state.task)  # the operator saw the STOP, and begins anew
+    await rig.until(
+        lambda: rig.front.state.task != ""
+    )  # the operator saw the STOP, and begins anew
     going.cancel()
 
 
