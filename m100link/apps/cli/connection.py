@@ -456,7 +456,7 @@ async def first_contact(
     Args:
         name: Name of the aircraft in the configuration file, which keeps what was found; by default
             the one that was given.
-        report: Write what was found into this file, without secrets, to send it in.
+        report: Write the findings into this file, without secrets, to attach to a question.
     """
     configuration = read_configuration()
     word = url or options.url or os.environ.get("M100LINK_URL") or configuration.default

@@ -55,8 +55,8 @@ class Settings:
         baud_rate: Baud rate, if the URL has none.
         firmware: Firmware profile, in place of the one that the aircraft's version selects.
         timeout: Seconds to wait for an answer of the aircraft.
-        acceleration: How the PC assistant has it send acceleration, raw or fused; by default one
-            second at rest shows it.
+        acceleration: How the PC assistant has acceleration sent: raw (body axes, in g, with
+            gravity) or fused (ground axes, m/s²).
         sim: Bring a virtual aircraft.
         app_id: App id that DJI assigned.
         key: The app's key itself. Every user of this machine can see it: prefer a file.

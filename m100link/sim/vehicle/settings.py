@@ -31,8 +31,8 @@ class AssistantSettings:
         ioc_on: Intelligent orientation control; on, it keeps the API out of the F position.
         baud_rate: Baud rate of the serial port, 8N1; a program that sets another one reads garbage.
         rates_hz: Rate per telemetry item: 0 (absent), 1, 10, 50 or 100 Hz.
-        acceleration: Send acceleration raw (body axes, in g, with gravity) or fused (ground axes,
-            m/s²).
+        acceleration: How the PC assistant has acceleration sent: raw (body axes, in g, with
+            gravity) or fused (ground axes, m/s²).
     """
 
     api_control_enabled: bool = True
