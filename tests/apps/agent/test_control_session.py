@@ -46,6 +46,7 @@ from m100link.errors import (
     LossReason,
     M100Error,
     NoAuthority,
+    NotObserved,
     StaleLease,
 )
 from m100link.protocol.setpoint import Setpoint
@@ -1424,3 +1425,38 @@ async def test_in_whatever_order_nothing_stays_held_that_was_let_go(
         chaos.one.close()
         await anyio.sleep(0.1)
         assert agent.leases.holder(agent.now) is None, where
+
+
+@pytest.mark.parametrize("how", ["raises", "is cancelled"])
+async def test_a_request_whose_work_ends_by_an_error_that_nobody_expected_is_answered(
+    pilots: Pilots, monkeypatch: pytest.MonkeyPatch, how: str
+) -> None:
+    """Its front waited for ever, and could not ask again."""
+    one, aircraft = session(pilots), pilots.rig.agent.connection.require_aircraft()
+
+    def fails(**_: object) -> None:
+        if how == "raises":
+            raise MemoryError
+        task = asyncio.current_task()
+        assert task is not None
+        task.cancel()
+        raise asyncio.CancelledError
+
+    with monkeypatch.context() as broken:
+        broken.setattr(aircraft, "control", fails)
+        with pytest.raises(M100Error, match="control was not obtained"):
+            await asyncio.wait_for(one.obtain(), 5.0)
+    await asyncio.wait_for(one.obtain(), 5.0)
+    assert one.is_obeyed
+
+
+async def test_an_order_whose_work_is_cancelled_is_answered(pilots: Pilots) -> None:
+    one = session(pilots)
+    await one.obtain()
+    asked = asyncio.create_task(one.ask(orders.TakeOff()))
+    await anyio.sleep(0.5)
+    for task in asyncio.all_tasks():
+        if task.get_name() == "m100link: take off for first":
+            task.cancel()
+    with pytest.raises(NotObserved, match="gave it up"):
+        await asyncio.wait_for(asked, 5.0)

@@ -134,8 +134,10 @@ class Agent:
         return self
 
     async def __aexit__(self, *_: object) -> None:
-        await self.give_back()  # first: the tasks that end next keep the line
-        await self.background.end()
+        try:
+            await self.give_back()  # first: the tasks that end next keep the line
+        finally:
+            await self.background.end()
 
     def _aircraft_changed(self, aircraft: Aircraft | None) -> None:
         if aircraft is not None and self.replay is not None:

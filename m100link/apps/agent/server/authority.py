@@ -279,10 +279,12 @@ class AuthorityManager:
             self._wait_for_pilot(aircraft)
         finally:
             self._block = None
+            if not granted.done():
+                failed = NoAuthority("control was not obtained: the agent failed, or it ends")
+                granted.set_exception(failed)
             self.orphaned.block_ended(aircraft)
             self.feed(HoldingInput.ENDED)  # nothing holds it now, whatever ended the block
             self._tell_mission("the agent ends")
-            granted.cancel()
 
     async def _use(self, control: Control, granted: asyncio.Future[None]) -> None:
         flying = self.flying = ActiveFlight(control, self._journal, self._background)

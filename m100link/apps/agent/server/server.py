@@ -43,7 +43,7 @@ from m100link.apps.agent.orders import Halt, Right
 from m100link.apps.agent.server.agent import Agent, Answer
 from m100link.apps.agent.server.mission import push_of
 from m100link.apps.agent.transports import Channel
-from m100link.errors import AuthorityLost, GuardRefused, M100Error, UsageError
+from m100link.errors import AuthorityLost, GuardRefused, M100Error, NotObserved, UsageError
 from m100link.flight.mission_state import MissionKind, MissionState
 from m100link.flight.missions.events import MissionEvent
 from m100link.link.statistics import ROUND_TRIP_BOUNDS_S
@@ -409,6 +409,10 @@ class ClientSession:
             yield
         except M100Error as error:
             self._answer(ask, Stage.FAILED, error)
+        except asyncio.CancelledError:  # of its work, or the agent ends: nobody waits for ever
+            given_up = NotObserved(f"{ask.order.label}: the agent gave it up before its end")
+            self._answer(ask, Stage.FAILED, given_up)
+            raise
         except Exception:
             fault = MessageError("the agent failed", remedy="see its log; report it")
             self._answer(ask, Stage.FAILED, fault)
