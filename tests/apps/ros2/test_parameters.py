@@ -56,6 +56,8 @@ async def test_a_rate_is_set(rig: Rig, program: Program) -> None:
     slower = [{"name": "rates.imu", "value": value(10.0)}]
     [result] = (await ask(program, "set_parameters", parameters=slower))["results"]
     assert result["successful"]
+    [now] = (await ask(program, "get_parameters", names=["rates.imu"]))["values"]
+    assert now["double_value"] == 10.0
     await anyio.sleep(1.0)
     rig.outlet("~/imu").sent.clear()
     await anyio.sleep(5.0)

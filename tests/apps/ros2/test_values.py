@@ -391,6 +391,10 @@ def test_an_imu_says_which_of_its_values_are_not_there(gone: type[Any], unknown:
     assert {one: found[f"{one}_covariance"] for one in names} == {
         one: ABSENT if one in unknown else UNKNOWN for one in names
     }
+    # A program that does not look at the covariance sees it level and at rest.
+    values = {name: found[name] for name in found if name.partition(".")[0] in unknown}
+    assert values == {name: 1.0 if name.endswith(".w") else 0.0 for name in values}
+    assert len(values) == sum(4 if one == "orientation" else 3 for one in unknown)
 
 
 @pytest.mark.parametrize(("health", "east", "north"), [(2, 0.0, 0.0), (3, -70.0, 30.0)])
