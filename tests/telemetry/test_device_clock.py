@@ -92,6 +92,20 @@ def test_a_reboot_starts_anew_and_is_counted() -> None:
     assert found.time == pytest.approx(1040.0, abs=0.03)
 
 
+@pytest.mark.parametrize("ticks", [1, 300, TICK_HZ * 60])
+@pytest.mark.parametrize("seconds", [0.5, 30])
+def test_a_step_back_is_one_even_before_a_delay_is_known(seconds: float, ticks: int) -> None:
+    """Half of the range of 32 bits is ahead, the other half behind."""
+    clock = DeviceClock(TICK_HZ)
+    run(clock, seconds=seconds, start_tick=100 * TICK_HZ)
+    last = 100 * TICK_HZ + round((seconds - 0.02) * TICK_HZ)
+    clock.update(last - ticks, 1000.0 + seconds)
+    assert clock.resets == 1
+    found = clock.host_time(last - ticks)
+    assert found is not None
+    assert found.time == pytest.approx(1000.0 + seconds, abs=0.001)
+
+
 def test_a_tick_that_stands_still_breaks_nothing() -> None:
     """Packages of a device whose clock has stopped: nothing is known of the time any more."""
     clock = DeviceClock(TICK_HZ)

@@ -22,6 +22,7 @@ from m100link.protocol import (
 from m100link.protocol.command import Acknowledged
 from m100link.protocol.commands.registry import COMMANDS
 from m100link.protocol.commands.waypoint import WaypointPoint
+from m100link.protocol.fields import Laid, Nibbles, Number, Numbers, Reserved
 from m100link.wire import FrameDecoder
 from tests.support import load_vectors
 
@@ -149,3 +150,53 @@ def test_what_makes_the_aircraft_fly_a_mission_is_known_of_every_command() -> No
         *("waypoint_pause_resume", "waypoint_start_stop"),
     }
     assert {(name, False) for name in moving - ALWAYS_MOVING} <= seen
+
+
+CHOICES: dict[str, list[str]] = {
+    "waypoint_mission.finish_action": ["hover", "go_home", "land", "first_point", "endless"],
+    "waypoint_mission.yaw_mode": ["along_path", "as_at_start", "by_rc", "by_point"],
+    "waypoint_mission.trace_mode": ["stop_at_points", "rounded_corners"],
+    "waypoint_mission.rc_lost_action": ["failsafe", "go_on"],
+    "waypoint_mission.gimbal_pitch_mode": ["free", "by_point"],
+    "waypoint_point.turn_mode": ["clockwise", "counter_clockwise"],
+    "waypoint_point.actions": [
+        *("stay", "take_photo", "start_video", "stop_video", "turn_to", "gimbal_pitch"),
+    ],
+    "waypoint_start_stop.stop": ["start", "stop"],
+    "waypoint_pause_resume.resume": ["pause", "resume"],
+    "hotpoint_start.clockwise": ["counter_clockwise", "clockwise"],
+    "hotpoint_start.start_point": ["north", "south", "west", "east", "nearest"],
+    "hotpoint_start.yaw_mode": ["along_path", "to_centre", "outwards", "by_rc", "as_at_start"],
+    "hotpoint_set_rate.clockwise": ["counter_clockwise", "clockwise"],
+    "hotpoint_pause_resume.resume": ["pause", "resume"],
+    "hotpoint_auto_radius.enable": ["off", "on"],
+    "follow_start.yaw_mode": ["by_rc", "to_target"],
+    "follow_pause_resume.resume": ["pause", "resume"],
+}
+"""By hand, from DJI's tables of fields: what 0, 1, 2 and so on mean on the wire."""
+
+UNITS = {
+    "m/s": "max_speed idle_speed",
+    "rad": "latitude longitude focus_latitude focus_longitude",
+    "m": "altitude focus_altitude damping radius",
+    "°": "yaw gimbal_pitch",
+    "°/s": "angular_rate",
+    "s": "action_time_limit",
+}
+"""Likewise: places are radians, and turns are degrees."""
+
+
+def test_what_the_numbers_of_a_command_mean() -> None:
+    """What is read of a mission, and written about it, has these words and units."""
+    words, units = {}, {}
+    for command in (one for one in COMMANDS.values() if issubclass(one, Laid)):
+        for _, part in command.LAYOUT.offsets():
+            if isinstance(part, Reserved | Nibbles):
+                continue
+            number: Number = part.each if isinstance(part, Numbers) else part
+            if number.words:
+                words[f"{command.NAME}.{part.name}"] = list(number.words)
+            if number.unit:
+                units[part.name] = number.unit
+    assert words == CHOICES
+    assert units == {name: unit for unit, names in UNITS.items() for name in names.split()}
