@@ -133,6 +133,50 @@ async def test_progress_counts_down() -> None:
     assert [p.elapsed for p in seen] == sorted(p.elapsed for p in seen)
 
 
+async def test_what_remains_has_the_sign_of_the_way_to_go() -> None:
+    """Metres to the place, metres up, degrees clockwise: negative is down, and to the left."""
+
+    async def of(loop: Callable[..., Awaitable[object]], *target: object, **options: Any) -> Any:
+        seen: list[GuidanceProgress] = []
+        with pytest.raises(NotObserved):
+            await loop(*target, **options, timeout=0.03, progress=seen.append)
+        found = seen[0]
+        return found.distance_m, found.height_error_m, found.heading_error_deg
+
+    async with flying() as (flown, control):
+        assert control.state.position is not None
+        high, nose = control.state.position.height_m, heading(flown)
+        places = {
+            (3.0, 4.0, 2.0): (5.0, 2.0, 0.0),
+            (0.0, -6.0, -0.5): (6.0, -0.5, 0.0),
+        }
+        for (north, east, up), wanted in places.items():
+            there = {"north": north, "east": east, "up": up}
+            assert await of(control.fly_to, **there) == pytest.approx(wanted, abs=0.15)
+            point = north, east, high + up
+            found = await of(control.fly_path, [point], speed=2.0)
+            assert found == pytest.approx(wanted, abs=0.15)
+        for up in (2.0, -0.5):
+            found = await of(control.climb_to, high + up)
+            assert found == pytest.approx((0.0, up, 0.0), abs=0.15)
+        for turned in (90.0, -100.0):
+            to = math.remainder(nose + turned, 360.0)
+            assert await of(control.turn_to, to) == pytest.approx((0.0, 0.0, turned), abs=6.0)
+            found = await of(control.fly_to, north=0.0, east=0.0, up=0.0, yaw_deg=to)
+            assert found == pytest.approx((0.0, 0.0, turned), abs=12.0)
+        circle = {"center_north": 5.0, "center_east": 0.0, "turns": 2.0}
+        assert await of(control.orbit, **circle) == pytest.approx((0.0, 0.0, 720.0), abs=0.2)
+
+
+async def test_a_far_place_is_asked_for_ten_metres_at_a_time() -> None:
+    """The autopilot flies larger offsets no faster, and a wrong position must not matter."""
+    async with flying() as (flown, control):
+        with pytest.raises(NotObserved):
+            await control.fly_to(north=60, east=-80, up=0, timeout=0.3)
+        offsets = [(move.roll_or_x, move.pitch_or_y) for move in list(flown.moves)[1:8]]
+        assert offsets == [pytest.approx((6.0, -8.0), abs=0.05)] * 7
+
+
 @pytest.mark.parametrize(
     "target",
     [

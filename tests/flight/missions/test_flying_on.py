@@ -88,6 +88,25 @@ async def test_a_stop_that_was_given_up_is_sent_again_at_the_end() -> None:
         await assert_rests(there)
 
 
+async def test_a_stop_that_was_refused_once_is_sent_again_at_the_end() -> None:
+    async with foreign() as (there, aircraft):
+        async with aircraft.control() as control:
+            async with control.waypoint_mission(SLOW) as mission:
+                await asyncio.sleep(2.0)
+                execute, refusals = there._execute, [b"\xde"]
+
+                def refuse(group: int, number: int, value: bytes) -> bytes | None:
+                    is_stop = (group, number, value) == (3, 0x12, b"\x01")
+                    return refusals.pop() if is_stop and refusals else execute(group, number, value)
+
+                there._execute = refuse  # type: ignore[method-assign] # one stop, and no other
+                with pytest.raises(MissionRefused, match="the stop of the waypoint mission"):
+                    await mission.stop()
+                assert not mission.is_over, "it flies on"
+            assert stops(there) == [0]
+        await assert_rests(there)
+
+
 @pytest.mark.parametrize("answer", [b"", b"\0\0\0", b"\x01\xff", b"\0\xff", bytes(53)])
 async def test_an_answer_that_says_nothing_does_not_keep_the_stop_from_being_sent(
     answer: bytes,
