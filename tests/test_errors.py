@@ -49,6 +49,20 @@ def test_drawing_of_the_error_tree_matches_the_classes() -> None:
     assert error_tree() == actual
 
 
+def test_the_drawing_says_by_which_builtin_an_error_can_be_caught_too() -> None:
+    """`except TimeoutError` catches what was not answered, and what was not seen."""
+    drawn = re.findall(r"── (\w+) .*\((\w+Error)\)$", errors.__doc__ or "", re.MULTILINE)
+    bases = {
+        name: base.__name__
+        for name in vars(errors)["__all__"]
+        for base in vars(errors)[name].__bases__
+        if not issubclass(base, errors.M100Error)
+    }
+    del bases["M100Error"], bases["LossReason"]  # an Exception, and no error
+    assert bases == dict(drawn)
+    assert len(bases) > 9
+
+
 def test_every_error_is_public_and_derives_from_one_base() -> None:
     defined = {
         name

@@ -56,10 +56,10 @@ All of them derive from :class:`M100Error`, so one ``except`` catches the librar
     │   └── NotAllowed             the agent refused the sender
     └── TelemetryError
         ├── TelemetryOverflow      a lossless consumer fell behind
-        ├── TelemetryStalled       the stream went silent, stands still, or comes ever later
+        ├── TelemetryStalled       it went silent, stands still, or comes ever later (TimeoutError)
         ├── NavigationLost         the position cannot be true
         ├── SetpointsIgnored       nothing begins to follow what is sent
-        └── LayoutMismatch         a packet does not fit the firmware profile
+        └── LayoutMismatch         a packet does not fit the firmware profile (ValueError)
 """
 
 from __future__ import annotations

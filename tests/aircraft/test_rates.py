@@ -66,7 +66,10 @@ async def test_an_item_that_was_never_sent_arrives(flown: Rig) -> None:
 async def test_when_it_does_not_happen_it_is_reported(
     flown: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Too many packages, and too few, of a line that carries no more or of another program."""
     monkeypatch.setattr(flown.virtual.autopilot, "set_rates", lambda rates: None)
+    with pytest.raises(NotObserved, match=r"gimbal arrives at (49|5\d)\.\d Hz instead of 100\n"):
+        await flown.aircraft.set_telemetry_rates(gimbal=100)
     with pytest.raises(
         NotObserved, match=r"accepted, but attitude arrives at \d+\.\d Hz instead of 10, .*gimbal"
     ) as raised:
