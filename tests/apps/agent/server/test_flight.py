@@ -6,6 +6,7 @@ import asyncio
 import math
 from collections.abc import AsyncIterator, Callable
 from functools import partial
+from inspect import Signature, signature
 from typing import Any, get_args
 
 import anyio
@@ -31,7 +32,6 @@ from m100link.geodesy import LocalFrame
 from m100link.missions.plan import AtEnd, Waypoint, WaypointPlan
 from m100link.protocol.setpoint import Setpoint
 from tests.apps.agent.conftest import Rig, airborne, guided, mission
-from tests.apps.agent.examples import example
 
 pytestmark = pytest.mark.anyio
 
@@ -669,12 +669,27 @@ async def test_while_a_mission_flies_it_is_refused() -> None:
 # -- each guided order, and the closed loop that flies it ------------------------------------------
 
 
-LOOPS: dict[type[orders.Order], str] = {
-    orders.FlyTo: "fly_to",
-    orders.FlyAround: "orbit",
-    orders.ChangeHeight: "climb_to",
-    orders.ChangeHeading: "turn_to",
+LOOPS: dict[type[orders.Order], tuple[GuidedOrder, str, dict[str, Any]]] = {
+    orders.FlyTo: (
+        orders.FlyTo(22.6, -113.9, 14.0, 4.0, -45.0),
+        "fly_to",
+        {
+            **{"latitude_deg": 22.6, "longitude_deg": -113.9, "height": 14.0},
+            **{"speed": 4.0, "yaw_deg": -45.0},
+        },
+    ),
+    orders.FlyAround: (
+        orders.FlyAround(22.6, -113.9, 14.0, 12.0, 3.0, 0.5, clockwise=False),
+        "orbit",
+        {
+            **{"center_north": 0.0, "center_east": 0.0, "radius": 12.0, "height": 14.0},
+            **{"speed": 3.0, "turns": 0.5, "clockwise": False},
+        },
+    ),
+    orders.ChangeHeight: (orders.ChangeHeight(6.5), "climb_to", {"height": 6.5}),
+    orders.ChangeHeading: (orders.ChangeHeading(200.0), "turn_to", {"yaw_deg": -160.0}),
 }
+"""By hand: each order, the loop that flies it, and what that is given: metres, degrees, m/s."""
 
 
 @pytest.mark.parametrize("kind", get_args(orders.GuidedOrder), ids=lambda kind: kind.__name__)
@@ -682,13 +697,23 @@ async def test_each_guided_order_is_foreseen_and_flown_by_its_own_loop(
     rig: Rig, monkeypatch: pytest.MonkeyPatch, kind: type[orders.Order]
 ) -> None:
     assert kind in LOOPS, f"LOOPS of this file has no row for {kind.__name__}"
+    order, loop, values = LOOPS[kind]
     await airborne(rig)
-    guiding, flown = rig.holding.require().guiding, list[str]()
+    control = rig.holding.require().guiding._control
+    flown = list[tuple[str, dict[str, Any]]]()
 
-    async def fly(name: str, *_: object, **__: object) -> None:
-        flown.append(name)
+    async def fly(name: str, called: Signature, *given: object, **named: object) -> None:
+        flown.append((name, dict(called.bind(*given, **named).arguments)))
 
-    for name in LOOPS.values():
-        monkeypatch.setattr(guiding._control, name, partial(fly, name))
-    await rig.agent.ask(example(kind), rig.token)
-    assert flown == [LOOPS[kind]]
+    for _, name, _ in LOOPS.values():
+        monkeypatch.setattr(control, name, partial(fly, name, signature(getattr(control, name))))
+    await rig.agent.ask(order, rig.token)
+    [(name, given)] = flown
+    frame, timeout = given.pop("frame", None), given.pop("timeout")
+    assert (name, {**given, **values}) == (loop, given)
+    assert given.keys() - values.keys() <= {"progress", "approach"}
+    if isinstance(order, orders.FlyAround):
+        assert (frame.latitude_deg, frame.longitude_deg) == (22.6, -113.9)
+    else:
+        assert timeout >= 30.0, "a gust may hold up a flight of a second, too"
+        assert frame is None
