@@ -277,3 +277,16 @@ async def test_a_stop_beside_the_one_that_ends_a_task_ends_the_way_home(
     with pytest.raises(GuardRefused, match="STOP was pressed after"):
         await descent
     assert one.agent.holding.task is None
+
+
+async def test_the_secret_of_a_lease_that_is_over_is_forgotten(rig: Rig) -> None:
+    one, pilot = await rig.aircraft("a1"), await rig.pilot()
+    service = one.fleet_agent._orders
+    async with pilot["a1"].control():
+        number = one.client.holder.number
+        assert service.leases.keys() == {number}
+        assert service.secret(number)
+    await rig.until(lambda: one.client.holder.number == 0)
+    assert (service.leases, service.secret(number)) == ({}, None)
+    async with pilot["a1"].control():
+        assert service.leases.keys() == {number + 1}

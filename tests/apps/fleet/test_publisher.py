@@ -9,6 +9,7 @@ import anyio
 import pytest
 
 from m100link.apps.fleet.keys import Keys
+from m100link.apps.fleet.payloads import unpack_message
 from m100link.apps.fleet.publisher import FleetTelemetry, Thinner
 from m100link.protocol.records import Attitude, Battery
 from tests.apps.fleet.conftest import SITE, Rig
@@ -55,6 +56,22 @@ async def test_what_cannot_be_read_is_counted(rig: Rig) -> None:
         outlet.put(payload)
     await anyio.sleep(0.1)
     assert (wall.unread, wall.received.total()) == (4, 0)
+
+
+async def test_what_fronts_elsewhere_hear_comes_again_lest_it_was_lost(rig: Rig) -> None:
+    """The state four times a second, lease and counters each second, the plan each five."""
+    heard: Counter[str] = Counter()
+
+    def take(_: str, payload: bytes) -> None:
+        heard[type(unpack_message(payload)).__name__] += 1
+
+    rig.network.session().subscribe(Keys(SITE, "a1").told, take)
+    await rig.served("a1")
+    await anyio.sleep(1.0)
+    heard.clear()
+    await anyio.sleep(10.0)
+    often = {"State": 40, "Hello": 10, "LeaseChanged": 10, "LinkCounted": 10, "PlanChanged": 2}
+    assert heard == often
 
 
 # -- An overview gets each item at its own rate or five times a second -----------------------------

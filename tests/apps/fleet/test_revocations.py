@@ -228,13 +228,17 @@ async def test_a_lease_that_is_being_granted_is_granted_to_nobody(
 # -- which list is in force -----------------------------------------------------------------------
 
 
-async def test_a_newer_list_counts_and_an_older_one_never_again(site: Site) -> None:
+async def test_a_newer_list_counts_and_an_older_one_never_again(site: Site, tmp_path: Path) -> None:
     await site.begin()
-    first, second = site.revoked("eve"), site.revoked("anna")
+    first = site.revoked("eve")
+    shutil.copytree(site.ca, tmp_path / "copy")
+    second, beside = site.revoked("anna"), revoke(tmp_path / "copy", ["bert"], now=NOW).data
     assert await site.push(b"") == 0, "it is asked which one is in force"
     assert await site.push(second) == 2
     with pytest.raises(UsageError, match=r"list 1 .* list 2 is in force"):
         await site.push(first)
+    with pytest.raises(UsageError, match=r"list 2 .* list 2 is in force"):
+        await site.push(beside)  # somebody else made it from list 1, too
     assert await site.push(second) == 2, "brought again it is no mistake"
     assert await site.push(b"") == 2
     assert (site.onboard / LIST).read_bytes() == second
