@@ -26,6 +26,7 @@ async def print_height(aircraft: Aircraft) -> None:
 
 async def find_peak(aircraft: Aircraft) -> None:
     count, peak = 0, 0.0
+    # Acceleration is known once the aircraft has stood still for a second.
     async with aircraft.telemetry(Acceleration, policy=Lossless(1000)) as samples:
         try:
             async for sample in samples:

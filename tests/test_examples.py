@@ -224,7 +224,7 @@ def test_two_consumers(run: Run) -> None:
     out = run("two_consumers", "sim://")
     assert out.count("height") == 10
     [(count, lost)] = re.findall(r"(\d+) packages, (\d+) lost", out)
-    assert int(count) >= 450
+    assert int(count) >= 350  # in five seconds, of which the first shows the mode
     assert lost == "0"
 
 

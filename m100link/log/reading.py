@@ -102,6 +102,7 @@ class Summary:
         bytes_received, bytes_sent: Raw bytes of the line.
         is_whole: Whether the file was ended, and nothing of it is damaged or missing.
         firmware: Name of the firmware profile; None when it was never known.
+        acceleration: The mode in which acceleration was sent; None when it was never known.
         damage: The parts damaged or missing.
     """
 
@@ -112,6 +113,7 @@ class Summary:
     bytes_sent: int
     is_whole: bool
     firmware: str | None
+    acceleration: AccelerationMode | None
     damage: Damage
 
 
@@ -320,6 +322,7 @@ class FlightLog:
             bytes_sent=sizes[TX],
             is_whole=self.damage.is_ended and not self.damage,
             firmware=None if known is None else known.name,
+            acceleration=None if known is None else self.acceleration_by(known),
             damage=self.damage,
         )
 

@@ -109,11 +109,16 @@ class Latency:
     (mean and four mean deviations), and half as long again as the longest of the eight at least.
     """
 
-    __slots__ = ("_deviation", "_mean", "_newest")
+    __slots__ = ("_deviation", "_mean", "_newest", "is_slow", "round_trip_s", "slack_s")
 
     def __init__(self) -> None:
         self._newest: deque[float] = deque(maxlen=_KEPT)
         self._mean = self._deviation = 0.0
+        #: Time of a question and its answer on this line, s; None before the first answer.
+        self.round_trip_s: float | None = None
+        self.is_slow = False  #: whether that is so long that ``doctor`` and ``link`` report it
+        #: Seconds by which an order shows later than by a cable; 0 on a line that is not slow.
+        self.slack_s = 0.0
 
     def note(self, seconds: float) -> None:
         """An answer came, in time or too late."""
@@ -123,27 +128,15 @@ class Latency:
             self._deviation += (abs(seconds - self._mean) - self._deviation) / 4
             self._mean += (seconds - self._mean) / 8
         self._newest.append(seconds)
-
-    @property
-    def round_trip_s(self) -> float | None:
-        """Time of a question and its answer on this line, s; None before the first answer."""
-        return min(self._newest, default=None)
+        self.round_trip_s = trip = min(self._newest)
+        self.is_slow = trip >= SLOW_S
+        self.slack_s = _MARGIN * trip if self.is_slow else 0.0
 
     def __str__(self) -> str:
         trip = self.round_trip_s
         if trip is None:
             return "nobody has measured how slow the line is"
         return f"the line is {'slow' if self.is_slow else 'quick'}: {trip:.2g} s round trip"
-
-    @property
-    def is_slow(self) -> bool:
-        """Whether that is so long that ``doctor`` and ``link`` report it."""
-        return min(self._newest, default=0.0) >= SLOW_S
-
-    @property
-    def slack_s(self) -> float:
-        """Seconds by which an order shows later than by a cable; 0 on a line that is not slow."""
-        return _MARGIN * min(self._newest, default=0.0) if self.is_slow else 0.0
 
     def wait_s(self, least: float) -> float:
         """Seconds to wait for an answer that is usually waited for ``least`` seconds."""

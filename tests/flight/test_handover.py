@@ -224,7 +224,10 @@ async def test_a_release_that_is_put_off_again_and_again_ends_after_two_seconds(
     async with rig() as flown:
         await obtain_authority(flown.aircraft._commander)
         slow = Slow(AuthorityCode.RELEASING, after=0.35)
-        parts = SimpleNamespace(requests=slow, authority=flown.aircraft.authority)
+        commander = flown.aircraft._commander
+        parts = SimpleNamespace(
+            requests=slow, authority=flown.aircraft.authority, link=commander.link
+        )
         start = flown.now
         assert not await release_authority(cast(Commander, parts))
         assert flown.now - start == pytest.approx(2.0, abs=0.01)

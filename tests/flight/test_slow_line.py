@@ -74,10 +74,11 @@ async def test_a_flight_from_connection_to_landing(delay: float, loss: float) ->
 @pytest.mark.parametrize("delay", LATENCIES)
 async def test_a_program_that_fails_leaves_it_hovering_one_latency_later(delay: float) -> None:
     failed_at = 0.0
-    async with rig(seed=5, firmware="3.1", faults=slow(delay, 0.1)) as flown:
+    async with rig(seed=5, firmware="3.1", faults=slow(delay)) as flown:
         await airborne(flown, delay)
         with pytest.raises(RuntimeError):
             async with flown.aircraft.control() as control:
+                flown.virtual.set_faults(slow(delay, 0.1))
                 await flown.fly(control, 2.0 + 2 * delay)
                 failed_at = now()
                 raise RuntimeError("the program's own")

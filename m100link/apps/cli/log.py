@@ -409,6 +409,7 @@ def info(file: Log, /, *, firmware: AsFlown = None, json: Json = False) -> int:
     )
     out.print(f"{file}: began {when}, {summary.duration_s:.1f} s")
     out.print(f"firmware {summary.firmware or 'unknown'}")
+    out.print(f"acceleration came {summary.acceleration or 'in an unknown mode'}")
     for name, value in facts(story)[1:-1]:
         out.print(f"  {name:<16} {value}")
     for name in _SPANS:

@@ -463,8 +463,11 @@ class _Meeting:
                 if mode is RcMode.F:
                     await self._again()
         finally:
-            # Also after no answer: the request may have arrived.
-            if codes[-1:] not in ([AuthorityCode.NOT_IN_F], [AuthorityCode.IOC_ON]):
+            # Also after no answer, or one that it is in progress: it may have it by now.
+            refusals = [AuthorityCode.NOT_IN_F, AuthorityCode.IOC_ON]
+            if not self._asks_twice:
+                refusals.append(AuthorityCode.NOT_CHANGED)
+            if not codes or codes[-1] not in refusals:
                 await self._give_back(is_held=AuthorityCode.OBTAINED in codes)
         answers = ", ".join(map(str, codes)) or "none"
         if error:
@@ -482,22 +485,20 @@ class _Meeting:
     async def _give_back(self, *, is_held: bool) -> None:
         """Release; it is not over before the aircraft says so."""
         before, codes = self._witness.pushes[_NOTIFIED], list[int]()
-        self.contact.is_given_back = not is_held
-        error = await self._requested(codes, is_wanted=False)
-        if AuthorityCode.RELEASED in codes:
-            self.contact.is_given_back = True
-            self._say("control authority is given back")
+        self.contact.is_given_back = False
+        try:
+            error = await self._requested(codes, is_wanted=False)
+            await asyncio.sleep(_QUIET_S)
+        finally:
+            holder = self._aircraft.state.fresh(ControlDevice)
+            is_ours = holder is not None and holder.device is Device.ONBOARD
+            self.contact.is_given_back = AuthorityCode.RELEASED in codes and not is_ours
+            self._say(_BACK if self.contact.is_given_back else _NOT_BACK)
         if not is_held:
             return
-        await asyncio.sleep(_QUIET_S)
-        holder = self._aircraft.state.fresh(ControlDevice)
-        if holder is not None and holder.device is Device.ONBOARD:
-            self.contact.is_given_back = False
         answers = ", ".join(map(str, codes)) or "none"
         if error:
             answers += f"; {error}"
-        if not self.contact.is_given_back:
-            self._say("the aircraft may still have it with this program: put the switch to P")
         if self.contact.get(Topic.RELEASE) is None:
             found = "released" if self.contact.is_given_back else "not released"
             self._see(Topic.RELEASE, found, answers)
@@ -535,6 +536,8 @@ class _Meeting:
         return ""
 
 
+_BACK = "control authority is given back"
+_NOT_BACK = "the aircraft may still have it with this program: put the switch to P"
 _OF_AUTHORITY = (
     *(Topic.OBTAIN_P, Topic.OBTAIN_A, Topic.OBTAIN_F),
     *(Topic.OBTAIN_AGAIN, Topic.RELEASE, Topic.OWN_RELEASE),

@@ -284,7 +284,10 @@ class MissionGuard:
             return False
         # Told to fly on without an RC, and nobody is seen to have taken the aircraft: the RC is
         # lost, and a stop would leave it to hover without a pilot.
-        if run.flies_without_rc and getattr(failure, "reason", None) is LossReason.UNKNOWN:
+        rc = self._commander.state.remote_control
+        is_silent = rc is not None and not rc.is_heard  # some aircraft show it so, at once
+        is_unknown = getattr(failure, "reason", None) is LossReason.UNKNOWN
+        if run.flies_without_rc and (is_silent or is_unknown):
             self.give_up(failure, "its plan orders that for a lost RC")
             return False
         # Without an answer it counts as flying on, unless it is seen to land.

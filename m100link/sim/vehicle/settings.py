@@ -95,9 +95,9 @@ class AircraftSettings:
         movement_timeout: Seconds without a movement command until the aircraft brakes and hovers
             (undocumented; DJI's header says only that it hovers).
         rc_lost_after: Seconds without remote control until it goes home by itself.
-        rc_lost_reads: The channels in telemetry meanwhile: ``zeros`` (ETHZ's driver takes gear 0
-            for a remote control that is off), or ``kept``: centred sticks, and both switches as
-            they stood.
+        rc_lost_reads: RC channels in telemetry while the remote control is off: ``zeros`` (ETHZ's
+            driver takes gear 0 for that), or ``kept``: centred sticks, and both switches as they
+            stood.
         server_delay: Seconds that DJI's server takes to answer. A new aircraft answers the first
             attempt of an app with 3, and all others in this time.
         forget_acks_after: Seconds after which a stored ack is forgotten; None keeps it, as the

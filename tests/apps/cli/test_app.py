@@ -155,7 +155,8 @@ def test_a_setting_shows_the_default_that_holds_if_no_source_has_one(cli: Comman
 def test_an_option_has_one_spelling_and_one_sentence() -> None:
     """Those below mean something else for some verbs."""
     homonyms = {
-        *("--app-id", "--baud", "--connect", "--count", "--duration", "--firmware", "--folder"),
+        *("--acceleration", "--app-id", "--baud", "--connect", "--count", "--duration"),
+        *("--firmware", "--folder"),
         *("--force", "--host", "--install", "--key", "--key-file", "--level", "--listen"),
         *("--max-height", "--max-radius", "--name", "--output", "--pki", "--rate", "--record"),
         *("--rights", "--seed", "--speed", "--take-over", "--to", "--wait", "--yes"),

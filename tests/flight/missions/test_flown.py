@@ -38,7 +38,7 @@ from m100link.flight.stop_path import StopAction
 from m100link.geodesy import LocalFrame
 from m100link.missions.waypoint import WaypointAction
 from m100link.protocol.commands.control import Move
-from m100link.sim import LineFaults
+from m100link.sim import AircraftSettings, LineFaults
 from tests.rig import NORTH, Rig, rig
 
 pytestmark = pytest.mark.anyio
@@ -235,8 +235,10 @@ async def test_a_lost_rc_breaks_it_off_and_the_aircraft_returns() -> None:
         await assert_at_rest(flown, is_on_ground=True)
 
 
-async def test_a_lost_rc_may_be_flown_through_by_name() -> None:
-    async with rig(firmware="3.1") as flown:
+@pytest.mark.parametrize("reads", ["zeros", "kept"])
+async def test_a_lost_rc_may_be_flown_through_by_name(reads: Any) -> None:
+    """Whether its channels show the loss at once, or the aircraft tells of it seconds later."""
+    async with rig(firmware="3.1", settings=AircraftSettings(rc_lost_reads=reads)) as flown:
         task = await begun(flown, on_rc_loss=OnRCLoss.CONTINUE)
         flown.virtual.rc_lost()
         await asyncio.sleep(5.0)

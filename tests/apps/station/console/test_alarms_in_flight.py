@@ -143,7 +143,7 @@ async def test_each_alarm_is_raised_by_its_cause_and_sounds(rig: Rig, name: Alar
     [
         ("rc-mode P", N.AUTHORITY_LOST, "ended: the pilot moved the mode switch out of F"),
         ("app-takes-control", N.AUTHORITY_LOST, "ended: authority passed away"),
-        ("rc-off", N.AUTHORITY_LOST, "ended: authority passed away"),
+        ("rc-off", N.AUTHORITY_LOST, "ended: the remote control is not heard any more"),
         ("unplug", N.LINK_LOST, "sim:// went away; the aircraft may fly on"),
         ("stall on", N.LINK_LOST, "no telemetry for 1.0 s while flying; the aircraft may fly on"),
     ],
