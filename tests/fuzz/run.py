@@ -52,6 +52,7 @@ class Told:
 
 def _cost(target: Target, data: bytes) -> float:
     """CPU time of one input, s."""
+    target.ready()
     begin = time.thread_time()
     with suppress(*target.refuses):
         target.read(data)
@@ -71,6 +72,7 @@ def execute(name: str, target: Target, executions: int, seed: int) -> Told:
     settled = sys.getallocatedblocks()
     for number in range(executions):
         data = changed(dice, seeds, target.tokens)
+        target.ready()
         begin = time.thread_time()
         try:
             target.read(data)

@@ -71,6 +71,11 @@ class Target:
         if isinstance(self.read, World):
             self.read.begin()
 
+    def ready(self) -> None:
+        """Do what is not for the next input, whose time is taken."""
+        if isinstance(self.read, World):
+            self.read.ready()
+
 
 def _vectors(name: str, field: str) -> list[bytes]:
     found: list[dict[str, Any]] = json.loads((_VECTORS / f"{name}.json").read_text("utf-8"))

@@ -169,11 +169,15 @@ class World:
             loop.close()
             logging.getLogger("m100link").removeHandler(self._errors)
 
-    def __call__(self, data: bytes) -> None:
-        """Take an input; raises what went wrong anywhere."""
+    def ready(self) -> None:
+        """Start if need be, so that no input is charged with a take-off."""
         if self._left <= 0 or self._loop is None:
             self.begin()
             self._start()
+
+    def __call__(self, data: bytes) -> None:
+        """Take an input; raises what went wrong anywhere."""
+        self.ready()
         assert self._loop is not None
         self._left -= 1
         try:
