@@ -16,7 +16,7 @@ from typing import Any, cast
 
 import pytest
 
-from m100link import Credentials
+from m100link import Aircraft, Credentials, connect
 from m100link.apps.cli.connection import exit_status
 from m100link.apps.doctor import Finding, Stage, Verdict, diagnose
 from m100link.apps.doctor.diagnosis import _firmware
@@ -37,10 +37,18 @@ MANUAL = Path(__file__).parents[3] / "docs/reference/diagnoses.md"
 
 
 @pytest.mark.parametrize("name", SET_UPS)
-async def test_the_diagnosis_is_right(name: str) -> None:
+async def test_the_diagnosis_is_right(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    opened: list[Aircraft] = []
+
+    async def noted(*given: Any, **named: Any) -> Aircraft:
+        opened.append(await connect(*given, **named))
+        return opened[-1]
+
+    monkeypatch.setattr("m100link.apps.doctor.diagnosis.connect", noted)
     set_up = SET_UPS[name]
     report = await diagnosed(set_up)
     failure = report.failure
+    assert not any(one.is_connected for one in opened), "the port is free again, whatever was found"
     assert (None if failure is None else failure.stage) is set_up.stage
     assert tuple(one.stage for one in report.doubts) == set_up.doubts
     assert exit_status(report) == set_up.status

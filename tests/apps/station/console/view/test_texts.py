@@ -168,6 +168,23 @@ def test_a_speed_in_each_unit(unit: SpeedUnit, text: str) -> None:
     assert Units(speed=unit).text(Quantity.speed(10.0)) == text
 
 
+@pytest.mark.parametrize(
+    ("units", "shown", "kind", "si"),
+    [
+        (Units(), 40.0, QuantityKind.LENGTH, 40.0),
+        (Units(LengthUnit.FOOT), 40.0, QuantityKind.LENGTH, 12.192),
+        (Units(), 5.0, QuantityKind.SPEED, 5.0),
+        (Units(speed=SpeedUnit.KM_H), 36.0, QuantityKind.SPEED, 10.0),
+        (Units(speed=SpeedUnit.KNOT), 18.0, QuantityKind.SPEED, 9.26),
+    ],
+)
+def test_what_is_typed_in_a_unit_is_flown_in_metres(
+    units: Units, shown: float, kind: QuantityKind, si: float
+) -> None:
+    assert units.to_si(shown, kind) == pytest.approx(si, rel=1e-9)
+    assert units.convert(si, kind) == pytest.approx(shown, rel=1e-9)
+
+
 def test_what_rises_has_a_plus_and_a_zero_has_no_minus() -> None:
     units = Units()
     assert units.text(Quantity.speed(1.26, signed=True)) == "+1.3 m/s"
