@@ -140,6 +140,33 @@ async def test_one_that_is_pushed_on_after_its_end_is_stopped_with_the_block() -
         await assert_stopped(there)
 
 
+async def test_its_stop_precedes_the_neutral_which_the_aircraft_would_ignore() -> None:
+    """As the page on safety has the order of the stop path: a stop that waited would come late."""
+    async with foreign() as (there, aircraft):
+        execute, stopped_at = there._execute, list[float]()
+        clock = asyncio.get_running_loop().time
+
+        def noted(group: int, number: int, value: bytes) -> bytes | None:
+            if (group, number, value) == (3, 0x12, b"\x01"):
+                stopped_at.append(clock())
+            return execute(group, number, value)
+
+        there._execute = noted  # type: ignore[method-assign] # when its stop comes
+        async with aircraft.control() as control:
+            with pytest.raises(MissionAborted):
+                async with control.waypoint_mission(SLOW):
+                    await asyncio.sleep(2.0)
+                    there.missions.is_pushing = False
+                    there._write(frame(b"\x02\x03\0\1\1\xd9\0\0"))
+                    await asyncio.sleep(2.0)
+            control.send(NORTH)  # nothing says that it flies
+            there.missions.is_pushing = True
+            await asyncio.sleep(0.15)
+            left_at = clock()
+        assert [at - left_at < 0.1 for at in stopped_at] == [True]
+        await assert_stopped(there)
+
+
 async def test_one_that_outlives_a_pause_by_the_pilot_is_stopped_with_the_block() -> None:
     """That a lost authority ends it is inferred; its stop was refused meanwhile."""
     async with foreign() as (there, aircraft):
