@@ -20,7 +20,7 @@ from m100link.aircraft.replaying import parse_replay
 from m100link.apps.agent.codec import decode as decode_message
 from m100link.apps.agent.codec import encode as encode_message
 from m100link.apps.agent.messages import Event, Hello, LeaseChanged, MessageError, State
-from m100link.apps.cli.configuration import read_configuration
+from m100link.apps.cli.configuration import read_configuration, remember
 from m100link.apps.cli.decode import decode_stream
 from m100link.apps.fleet.identity import Rights
 from m100link.apps.station.config import read_launch
@@ -278,6 +278,16 @@ def _read_plan(data: bytes) -> None:
         WaypointPlan.parse(plan.to_qgroundcontrol())
 
 
+def _read_and_remember(path: Path) -> None:
+    """What first contact found goes into any file that can be read, and comes out of it again."""
+    configuration = read_configuration(path)
+    name = next(iter(configuration.aircraft), "m1")
+    remember(configuration, name, "sim://", {"acceleration": "raw", "seen": {"rc-lost": "zero"}})
+    kept = read_configuration(path).aircraft[name]
+    assert kept["acceleration"] == "raw"
+    assert dict(kept["seen"]) == {"rc-lost": "zero"}
+
+
 def _read_url(data: bytes) -> None:
     text = data.decode("utf-8", "replace")
     if text.startswith("replay:"):
@@ -366,7 +376,7 @@ TARGETS: dict[str, Target] = {
         (b"[[step]]", b"at ="),
     ),
     "configuration": Target(
-        files.of_file(read_configuration),
+        files.of_file(_read_and_remember),
         lambda: [_CONFIGURATION.encode()],
         (UsageError, BadURL),
         (b"[aircraft.", b"url ="),
