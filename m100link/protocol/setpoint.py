@@ -28,7 +28,7 @@ from typing import ClassVar, NamedTuple, Self
 from m100link.errors import BadSetpoint
 from m100link.protocol.command import Address, Movement
 from m100link.protocol.commands.control import Move
-from m100link.protocol.firmware import FirmwareProfile, FlagBit0
+from m100link.protocol.firmware import FirmwareProfile, FlagBit0, Generation
 
 __all__ = ["LIMITS", "ControlMode", "Horizontal", "ReferenceFrame", "Setpoint", "Vertical", "Yaw"]
 
@@ -113,12 +113,18 @@ class _Range(NamedTuple):
 
 _FLOAT32_MAX = (2 - 2**-23) * 2.0**127  # the wire carries no larger number
 
+TILT_LIMIT_DEG = 30.0
+"""Most tilt that every firmware takes (document 3.2)."""
+
 LIMITS: dict[Enum, _Range] = {
-    Horizontal.TILT: _Range(-30, 30, "°"),
+    Horizontal.TILT: _Range(-35, 35, "°"),
     Horizontal.VELOCITY: _Range(-10, 10, "m/s"),
     Horizontal.POSITION_OFFSET: _Range(-_FLOAT32_MAX, _FLOAT32_MAX, "m"),
 }
-"""Range per way of control (document 3.2, the table of modes)."""
+"""Range per way of control (document 3.2, the table of modes).
+
+Tilt is that of firmware 3.1 (errata 73); others take :data:`TILT_LIMIT_DEG`.
+"""
 
 VERTICAL_LIMITS = {
     Vertical.VELOCITY: _Range(-4, 4, "m/s"),
@@ -201,7 +207,14 @@ class Setpoint(Movement):
         ):
             if not limit.low <= value <= limit.high:
                 raise self._outside(index, value, limit)
-        object.__setattr__(self, "_flag", _common_flag(self.mode, self.frame, self.stable))
+        flag = None if self._is_steep else _common_flag(self.mode, self.frame, self.stable)
+        object.__setattr__(self, "_flag", flag)
+
+    @property
+    def _is_steep(self) -> bool:
+        """Whether not every firmware takes so much tilt."""
+        is_tilt = self.mode.horizontal is Horizontal.TILT
+        return is_tilt and max(abs(self.x), abs(self.y)) > TILT_LIMIT_DEG
 
     def _outside(self, index: int, value: float, limit: _Range) -> BadSetpoint:
         """By the name that the program gave the value."""
@@ -234,8 +247,8 @@ class Setpoint(Movement):
         """Modes 1, 2, 7, 8, 13 and 14: tilt the aircraft.
 
         Args:
-            roll_deg: −30 to 30, positive to the right.
-            pitch_deg: −30 to 30, **negative flies forward**.
+            roll_deg: −30 to 30, positive to the right; −35 to 35 with firmware 3.1.
+            pitch_deg: The same, **negative flies forward**.
             up: Climb rate, −4 to 4 m/s.
             height: Height above take-off, 0 m and more.
             thrust_percent: 0 to 100; direct thrust, with precaution.
@@ -332,7 +345,8 @@ class Setpoint(Movement):
         """The flag byte under a firmware profile.
 
         Raises:
-            BadSetpoint: Stable mode, or tilt in the ground frame, where the firmware has none.
+            BadSetpoint: Stable mode, tilt in the ground frame, or more than 30° of tilt, where the
+                firmware has none.
         """
         flag = self.mode.flag | self.frame << 1
         if self.stable:
@@ -343,6 +357,11 @@ class Setpoint(Movement):
                     remedy="leave stable=False",
                 )
             flag |= 1
+        if self._is_steep and profile.generation < Generation.V3_1:
+            raise BadSetpoint(
+                f"firmware {profile} tilts by at most {TILT_LIMIT_DEG:g}°",
+                remedy="limit roll and pitch before they become a setpoint",
+            )
         is_ground_tilt = (
             self.mode.horizontal is Horizontal.TILT and self.frame is ReferenceFrame.GROUND
         )
@@ -379,17 +398,40 @@ class Setpoint(Movement):
         return Move(self.control_flag(profile), self.x, self.y, self.z, self.yaw)
 
     @classmethod
-    def from_move(cls, move: Move, profile: FirmwareProfile, *, clamp: bool = False) -> Self:
-        """Read a movement command, as the aircraft does.
+    def from_move(cls, move: Move, profile: FirmwareProfile) -> Self:
+        """Read a movement command.
 
         Args:
             move: The command.
             profile: Firmware of the receiver.
-            clamp: Limit values to their range instead of refusing them.
 
         Raises:
-            BadSetpoint: Illegal flag (bits that mean nothing, thrust without tilt), a value that
-                is not finite or, without ``clamp``, out of range.
+            BadSetpoint: As :meth:`ReceivedMove.read`; or a value is out of range.
+        """
+        return cls(*ReceivedMove.read(move, profile))
+
+
+class ReceivedMove(NamedTuple):
+    """A movement command as an aircraft reads it: a :class:`Setpoint` of any finite values.
+
+    The aircraft flies it as far as it can.
+    """
+
+    mode: ControlMode
+    x: float
+    y: float
+    z: float
+    yaw: float
+    frame: ReferenceFrame = ReferenceFrame.GROUND
+    stable: bool = False
+
+    @classmethod
+    def read(cls, move: Move, profile: FirmwareProfile) -> Self:
+        """Read the flag as a firmware does.
+
+        Raises:
+            BadSetpoint: Illegal flag (bits that mean nothing, thrust without tilt), or a value that
+                is not finite.
         """
         flag = move.control_flag
         try:
@@ -398,17 +440,15 @@ class Setpoint(Movement):
             raise BadSetpoint(f"control flag 0x{flag:02X} names no control mode") from None
         if flag & 0x04:
             raise BadSetpoint(f"control flag 0x{flag:02X} has its reserved bit 2 set")
+        values = (move.roll_or_x, move.pitch_or_y, move.throttle_or_z, move.yaw)
+        if not (mode.is_legal and all(map(math.isfinite, values))):
+            raise BadSetpoint(
+                f"control flag 0x{flag:02X} with {values}",
+                cause="a value is not finite, or thrust does not go with tilt",
+            )
         frame = ReferenceFrame(flag >> 1 & 1)
         if mode.horizontal is Horizontal.TILT and not profile.tilt_frame_selectable:
             frame = ReferenceFrame.BODY
-        values = (move.roll_or_x, move.pitch_or_y, move.throttle_or_z, move.yaw)
-        if clamp and mode.is_legal and all(map(math.isfinite, values)):
-            horizontal = LIMITS[mode.horizontal]
-            limits = (horizontal, horizontal, VERTICAL_LIMITS[mode.vertical], YAW_LIMITS[mode.yaw])
-            values = tuple(  # type: ignore[assignment]  # four floats stay four floats
-                min(max(value, limit.low), limit.high)
-                for value, limit in zip(values, limits, strict=True)
-            )
         stable = bool(flag & 1) and profile.flag_bit0 is FlagBit0.STABLE_MODE
         return cls(mode, *values, frame=frame, stable=stable)
 

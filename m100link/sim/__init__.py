@@ -23,7 +23,7 @@ from m100link.sim.vehicle.activation import (
     MobileApp,
     RegisteredApp,
 )
-from m100link.sim.vehicle.dynamics import Airframe, Dynamics
+from m100link.sim.vehicle.dynamics import AIRFRAMES, Airframe, Dynamics, read_airframe
 from m100link.sim.vehicle.missions.route import MissionSettings, NoFlyZone
 from m100link.sim.vehicle.remote import PilotRemote
 from m100link.sim.vehicle.settings import (
@@ -36,6 +36,7 @@ from m100link.sim.vehicle.vehicle import LogEntry, Vehicle
 from m100link.sim.virtual import VirtualAircraft
 
 __all__ = [
+    "AIRFRAMES",
     "DEFAULT_RATES_HZ",
     "DEMO_APP_ID",
     "DEMO_KEY",
@@ -67,5 +68,6 @@ __all__ = [
     "VirtualClockEventLoop",
     "loop_factory",
     "open_sim",
+    "read_airframe",
     "serve_tcp",
 ]

@@ -28,7 +28,7 @@ from m100link.protocol.commands.missions import COMMAND_SET, PauseResume
 from m100link.protocol.commands.registry import COMMANDS, address_of
 from m100link.protocol.firmware import FirmwareProfile
 from m100link.protocol.records import Device
-from m100link.protocol.setpoint import Setpoint
+from m100link.protocol.setpoint import ReceivedMove
 from m100link.sim.vehicle.missions.computer import Flown
 from m100link.sim.vehicle.missions.hotpoint import FollowExecution, HotpointExecution
 from m100link.sim.vehicle.missions.plan import MissionOrder
@@ -121,7 +121,7 @@ class CommandTable:
         self._vehicle = autopilot.vehicle
         self._profile = autopilot.profile
         # A program repeats a setpoint fifty times a second: read it once.
-        self._last_move: tuple[bytes, control.Move, Setpoint | None] | None = None
+        self._last_move: tuple[bytes, control.Move, ReceivedMove | None] | None = None
         vehicle = autopilot.vehicle
         missions = self._missions = vehicle.missions
         self._handlers: dict[type[Command], Callable[[Any], Any]] = {
@@ -289,13 +289,13 @@ class CommandTable:
         autopilot.received_movements.append(last[1])
         self._fly(last[2])
 
-    def _setpoint(self, move: control.Move) -> Setpoint | None:
+    def _setpoint(self, move: control.Move) -> ReceivedMove | None:
         try:
-            return Setpoint.from_move(move, self._profile, clamp=True)
+            return ReceivedMove.read(move, self._profile)
         except BadSetpoint:
             return None
 
-    def _fly(self, setpoint: Setpoint | None) -> None:
+    def _fly(self, setpoint: ReceivedMove | None) -> None:
         flight = self._vehicle.flight
         if setpoint is None or not self._has_authority() or not flight.move(setpoint):
             self._autopilot.counters.ignored_movements += 1

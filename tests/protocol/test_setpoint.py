@@ -26,6 +26,7 @@ from m100link.protocol import (
     Yaw,
     profile,
 )
+from m100link.protocol.setpoint import ReceivedMove
 
 TILT, VELOCITY, OFFSET = Horizontal
 CLIMB, HEIGHT, THRUST = Vertical
@@ -123,7 +124,7 @@ def test_thrust_goes_with_tilt_only(horizontal: Horizontal, yaw: Yaw) -> None:
     mode = ControlMode(horizontal, THRUST, yaw)
     with pytest.raises(BadSetpoint, match="THRUST"):
         Setpoint(mode, 0, 0, 0, 0)
-    with pytest.raises(BadSetpoint, match="THRUST"):
+    with pytest.raises(BadSetpoint, match="thrust does not go"):
         Setpoint.from_move(Move(mode.flag, 0, 0, 0, 0), profile("3.1"))
 
 
@@ -131,8 +132,8 @@ def test_thrust_goes_with_tilt_only(horizontal: Horizontal, yaw: Yaw) -> None:
 
 # Argument, its mode and the range of the document; None where it has no bound.
 RANGES = [
-    ("x", TILT, CLIMB, Yaw.RATE, -30, 30),
-    ("y", TILT, CLIMB, Yaw.RATE, -30, 30),
+    ("x", TILT, CLIMB, Yaw.RATE, -35, 35),
+    ("y", TILT, CLIMB, Yaw.RATE, -35, 35),
     ("x", VELOCITY, CLIMB, Yaw.RATE, -10, 10),
     ("y", VELOCITY, CLIMB, Yaw.RATE, -10, 10),
     ("x", OFFSET, CLIMB, Yaw.RATE, None, None),
@@ -242,8 +243,8 @@ def test_every_setpoint_can_be_sent_and_is_read_back(
         (Setpoint.velocity, {"forward": 0.0, "right": 12.0}, "right 12 m/s"),
         (Setpoint.position_offset, {"north": math.nan}, "north is nan"),
         (Setpoint.position_offset, {"forward": 0.0, "right": math.inf}, "right is inf"),
-        (Setpoint.tilt, {"roll_deg": 31.0}, "roll_deg 31 ° is outside -30 to 30"),
-        (Setpoint.tilt, {"pitch_deg": 31.0, "frame": ReferenceFrame.GROUND}, "pitch_deg 31 °"),
+        (Setpoint.tilt, {"roll_deg": 36.0}, "roll_deg 36 ° is outside -35 to 35"),
+        (Setpoint.tilt, {"pitch_deg": 36.0, "frame": ReferenceFrame.GROUND}, "pitch_deg 36 °"),
         (Setpoint.velocity, {"up": 5.0}, "up 5 m/s is outside -4 to 4"),
         (Setpoint.velocity, {"height": -1.0}, "height -1 m is outside 0 to"),
         (Setpoint.tilt, {"thrust_percent": 101.0}, "thrust_percent 101 %"),
@@ -347,18 +348,34 @@ def test_every_flag_is_a_setpoint_or_refused(flag: int) -> None:
         assert setpoint.control_flag(profile("3.1")) == flag
 
 
-def test_an_aircraft_may_limit_values_instead_of_refusing_them() -> None:
+def test_an_aircraft_reads_values_beyond_the_range_as_they_are() -> None:
     move = Move(0x48, 99.0, -99.0, 9.0, -500.0)
     with pytest.raises(BadSetpoint):
         Setpoint.from_move(move, profile("3.1"))
-    limited = Setpoint.from_move(move, profile("3.1"), clamp=True)
-    assert (limited.x, limited.y, limited.z, limited.yaw) == (10, -10, 4, -100)
+    received = ReceivedMove.read(move, profile("3.1"))
+    assert received[1:5] == (99.0, -99.0, 9.0, -500.0)
 
 
-@pytest.mark.parametrize("value", [math.nan, math.inf])
-def test_what_is_not_finite_is_refused_even_where_values_are_limited(value: float) -> None:
-    with pytest.raises(BadSetpoint):
-        Setpoint.from_move(Move(0x48, value, 0, 0, 0), profile("3.1"), clamp=True)
+@pytest.mark.parametrize("place", range(1, 5))
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_an_aircraft_refuses_what_is_not_finite(value: float, place: int) -> None:
+    values = [0.0] * 4
+    values[place - 1] = value
+    with pytest.raises(BadSetpoint, match="not finite"):
+        ReceivedMove.read(Move(0x48, *values), profile("3.1"))
+
+
+@pytest.mark.parametrize("name", ["1.0", "1.0-document", "2.3"])
+@pytest.mark.parametrize("angles", [(30.5, 0.0), (0.0, -30.5), (35.0, 35.0)])
+def test_more_than_30_degrees_are_for_firmware_3_1(angles: tuple[float, float], name: str) -> None:
+    """Document 3.2 says 30; recordings of 3.1.10 hold 35.5, DJI's later headers say 35."""
+    setpoint = Setpoint.tilt(roll_deg=angles[0], pitch_deg=angles[1], up=0.0, yaw_rate_deg_s=0.0)
+    for refused in (setpoint.control_flag, setpoint.encode, setpoint.value, setpoint.to_move):
+        with pytest.raises(BadSetpoint, match="tilts by at most 30°"):
+            refused(profile(name))
+    assert setpoint.to_move(profile("3.1"))[:3] == (0x0A, *angles)
+    steepest = Setpoint.tilt(roll_deg=30.0, pitch_deg=-30.0, up=0.0, yaw_rate_deg_s=0.0)
+    assert steepest.to_move(profile(name))[1:3] == (30.0, -30.0)
 
 
 @pytest.mark.parametrize(("number", "horizontal", "vertical", "yaw", "flag"), MODES)

@@ -23,7 +23,13 @@ from m100link.errors import (
     SetpointsIgnored,
     TelemetryStalled,
 )
-from m100link.sim import AircraftSettings, AssistantSettings, LineFaults, VirtualClockEventLoop
+from m100link.sim import (
+    AircraftSettings,
+    Airframe,
+    AssistantSettings,
+    LineFaults,
+    VirtualClockEventLoop,
+)
 from m100link.testing import ConnectableAircraft
 
 __all__ = ["Flown", "flown"]
@@ -137,7 +143,7 @@ async def _flight(seed: int, legs: Counter[str]) -> None:
         gusts=chance.choice([0.0, 0.5, 1.5, 2.5]),
         noise=chance.choice([0.0, 1.0, 2.0]),
         vertical_down=chance.random() < 0.2,
-        hover_minutes=60.0,
+        airframe=Airframe(hover_minutes=60.0),
     )
     faults = LineFaults(
         loss=chance.choice([0.0, 0.0, 0.05, 0.3]),

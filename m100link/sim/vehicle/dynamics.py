@@ -17,24 +17,39 @@ Its numbers are those of an :class:`~m100link.sim.vehicle.dynamics.Airframe`.
 
 from __future__ import annotations
 
+import cmath
 import math
-from dataclasses import KW_ONLY, dataclass
+import tomllib
+from dataclasses import KW_ONLY, dataclass, replace
 from enum import IntEnum
 from math import atan, cos, exp, pi, sin, sqrt, tan
+from pathlib import Path
 
+from m100link.errors import UsageError
+from m100link.protocol.firmware import FirmwareProfile, Generation
 from m100link.protocol.records import quaternion
 
 # -- the numbers of the flight model ---------------------------------------------------------------
-# They are chosen to look like a Matrice 100 (velocity lag of about a second, 17 m/s at most), they
-# are not measured on one.
+# Where each comes from, and how well it is known: docs/explanation/simulator-limits.md.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Airframe:
-    """The numbers of the model. Replace some of them to fly a heavier or livelier aircraft."""
+    """The numbers of the model. Replace some of them to fly a heavier or livelier aircraft.
+
+    Without arguments it is the airframe ``document``: limits from the document, all else chosen to
+    look like a Matrice 100.
+
+    Raises:
+        UsageError: A number is not finite, or outside its range in :data:`RANGES`.
+    """
 
     tilt_frequency: float = 10.0
-    """Natural frequency of the critically damped attitude response, rad/s."""
+    """Natural frequency of the attitude response, rad/s."""
+    tilt_damping: float = 1.0
+    """Damping ratio of the attitude response; 1 is critical."""
+    command_delay: float = 0.0
+    """Seconds from a movement command to its effect: dead time, in steps of 0.01 s."""
     maximum_tilt_deg: float = 30.0
     """Limit of commanded tilt (document 3.2)."""
     cruise_tilt_deg: float = 25.0
@@ -49,6 +64,8 @@ class Airframe:
     """Deceleration that stable mode allows itself, m/s²."""
     velocity_gain: float = 1.6
     """Horizontal acceleration asked for per m/s of velocity error, 1/s."""
+    horizontal_speed: float = 10.0
+    """Limit of commanded velocity on each horizontal axis, m/s (document 3.2)."""
     position_gain: float = 0.8
     """Velocity asked for per metre of position error, 1/s."""
     position_speed: float = 3.0
@@ -68,7 +85,99 @@ class Airframe:
     yaw_rate_deg: float = 100.0
     """Limit of the yaw rate, degrees per second (document 3.2)."""
     hover_thrust: float = 45.0
-    """Percent of full thrust that carries the aircraft."""
+    """Percent of full thrust that carries the aircraft with a full battery."""
+    empty_hover_thrust: float = 45.0
+    """The same with an empty battery; between the two it changes evenly."""
+    thrust_exponent: float = 1.0
+    """Lift grows with that power of thrust; 1 is in proportion."""
+    hover_minutes: float = 22.0
+    """Minutes that a full battery carries the aircraft."""
+    gyro_noise: float = 0.005
+    """Standard deviation of an angular velocity, rad/s, when sensor noise is 1."""
+    accelerometer_noise: float = 0.05
+    """Standard deviation of an acceleration, m/s², when sensor noise is 1."""
+
+    def __post_init__(self) -> None:
+        for name, (low, high) in RANGES.items():
+            value = getattr(self, name)
+            if not low <= value <= high:
+                raise UsageError(
+                    f"{name} of an airframe is {value}", remedy=f"give {low:g} to {high:g}"
+                )
+
+
+_LAG, _GAIN, _PERCENT = (0.01, 10.0), (0.0, 20.0), (5.0, 95.0)
+RANGES: dict[str, tuple[float, float]] = {
+    **{"tilt_frequency": (1.0, 50.0), "tilt_damping": (0.1, 3.0), "command_delay": (0.0, 2.0)},
+    **dict.fromkeys(("maximum_tilt_deg", "cruise_tilt_deg", "steepest_tilt_deg"), (1.0, 80.0)),
+    **dict.fromkeys(("drag", "vertical_drag"), (0.0, 5.0)),
+    **dict.fromkeys(("velocity_gain", "position_gain", "height_gain", "yaw_gain"), _GAIN),
+    **dict.fromkeys(("horizontal_speed", "position_speed", "vertical_speed"), (0.0, 40.0)),
+    **dict.fromkeys(("smooth_braking", "vertical_acceleration"), (0.1, 20.0)),
+    **dict.fromkeys(("vertical_time_constant", "yaw_time_constant"), _LAG),
+    **dict.fromkeys(("hover_thrust", "empty_hover_thrust"), _PERCENT),
+    **{"yaw_rate_deg": (0.0, 500.0), "thrust_exponent": (0.1, 3.0), "hover_minutes": (0.1, 600.0)},
+    **dict.fromkeys(("gyro_noise", "accelerometer_noise"), (0.0, 5.0)),
+}
+"""Least and most of each number of an :class:`Airframe`."""
+
+MEASURED = "measured-3.1.10"
+AIRFRAMES: dict[str, Airframe] = {
+    "document": Airframe(),
+    MEASURED: Airframe(
+        tilt_frequency=11.9,
+        tilt_damping=0.85,
+        command_delay=0.10,
+        maximum_tilt_deg=35.5,
+        drag=0.12,
+        vertical_drag=0.04,
+        horizontal_speed=14.0,
+        yaw_time_constant=0.12,
+        hover_thrust=38.2,
+        empty_hover_thrust=44.0,
+        thrust_exponent=0.68,
+        hover_minutes=12.7,
+        gyro_noise=0.0008,
+        accelerometer_noise=0.03,
+    ),
+}
+"""The airframes by name; the second is that of firmware 3.1."""
+
+
+def airframe_for(profile: FirmwareProfile) -> Airframe:
+    """The airframe that a virtual aircraft of some firmware has by default."""
+    return AIRFRAMES[MEASURED if profile.generation >= Generation.V3_1 else "document"]
+
+
+def read_airframe(name: str) -> Airframe:
+    """The airframe of a name in :data:`AIRFRAMES`, or of a TOML file.
+
+    The keys of a file are fields of :class:`Airframe`; ``base`` names the airframe that has the
+    other numbers, ``document`` without it.
+
+    Raises:
+        UsageError: There is no such airframe, or the file is not one.
+    """
+    if name in AIRFRAMES:
+        return AIRFRAMES[name]
+    try:
+        content = tomllib.loads(Path(name).read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:  # UnicodeDecodeError and TOMLDecodeError are of the kind
+        raise UsageError(
+            f"no airframe {name}: {error}", remedy=f"name {' or '.join(AIRFRAMES)}, or a TOML file"
+        ) from error
+    base = content.pop("base", "document")
+    if not isinstance(base, str) or base not in AIRFRAMES:
+        raise UsageError(
+            f"{name}: no airframe is called {base!r}", remedy=f"base: {', '.join(AIRFRAMES)}"
+        )
+    for key, value in content.items():
+        if key not in RANGES or type(value) not in (int, float):
+            raise UsageError(
+                f"{name}: {key} = {value!r} is no number of an airframe",
+                remedy=f"numbers: {', '.join(RANGES)}",
+            )
+    return replace(AIRFRAMES[base], **{key: float(value) for key, value in content.items()})
 
 
 # -- dynamics --------------------------------------------------------------------------------------
@@ -144,6 +253,7 @@ class Dynamics:
     motors_on: bool  # with motors off nothing moves; in the air, it falls
     on_ground: bool  # while the landing gear carries it
     thrust: float  # percent of full thrust now
+    hover_thrust: float  # percent of full thrust that carries it now, by its battery
     wind_north: float  # velocity of the air in m/s; set at any time
     wind_east: float
     touchdown_speed: float  # vertical speed of the last contact with the ground, m/s, positive
@@ -165,6 +275,7 @@ class Dynamics:
     def __init__(self, airframe: Airframe | None = None, *, yaw_deg: float = 0.0) -> None:
         """Stand on the ground at the origin, motors off, the nose towards ``yaw_deg``."""
         self.airframe = airframe or Airframe()
+        self.hover_thrust = self.airframe.hover_thrust
         self.wind_north = self.wind_east = 0.0
         self.yaw = _wrap(math.radians(yaw_deg))
         self.north = self.east = self.height = 0.0
@@ -172,15 +283,18 @@ class Dynamics:
         self.motors_on = False
         self.on_ground = True
         self._settle()
-        # Exact solutions over one step: of the critically damped attitude (the pair of decay and
-        # stretch), of the first-order lags of climb and yaw rate. A step response measured at
-        # the sample times is therefore the closed form, whatever the step.
-        w = self.airframe.tilt_frequency
-        decay = exp(-w * STEP_S)
-        self._tilt_decay = decay * (1.0 + w * STEP_S)
-        self._tilt_stretch = decay * STEP_S
-        self._tilt_pull = -decay * w * w * STEP_S
-        self._tilt_damping = decay * (1.0 - w * STEP_S)
+        # Exact solutions over one step: of the attitude (decay and stretch, pull and damping), and
+        # of the first-order lags of climb and yaw rate. A step response measured at the sample
+        # times is therefore the closed form, whatever the step.
+        w, ratio = self.airframe.tilt_frequency, self.airframe.tilt_damping
+        root = w * cmath.sqrt(ratio * ratio - 1.0)
+        fade = exp(-ratio * w * STEP_S)
+        along = cmath.cosh(root * STEP_S).real
+        across = (cmath.sinh(root * STEP_S) / root).real if root else STEP_S
+        self._tilt_decay = fade * (along + ratio * w * across)
+        self._tilt_stretch = fade * across
+        self._tilt_pull = -fade * w * w * across
+        self._tilt_damping = fade * (along - ratio * w * across)
         lag = self.airframe.vertical_time_constant
         self._vertical_gain = (1.0 - exp(-STEP_S / lag)) / STEP_S
         self._yaw_settle = exp(-STEP_S / self.airframe.yaw_time_constant)
@@ -207,6 +321,18 @@ class Dynamics:
         self._settle()
         self.on_ground = height <= 0.0
         self.motors_on = not self.on_ground
+
+    def resume(
+        self,
+        attitude: tuple[float, float, float],  # roll, pitch, yaw, rad
+        turning: tuple[float, float, float],  # their derivatives, rad/s
+        velocity: tuple[float, float, float],  # north, east, up, m/s
+    ) -> None:
+        """Fly on where it is from a state of motion that was seen elsewhere."""
+        self.roll, self.pitch, yaw = attitude
+        self.yaw = _wrap(yaw)
+        self._roll_rate, self._pitch_rate, self._yaw_rate = turning
+        self.velocity_north, self.velocity_east, self.velocity_up = velocity
 
     def step(self, guidance: DynamicsInput) -> None:
         """Move on by :data:`STEP_S` towards ``guidance``."""
@@ -259,7 +385,8 @@ class Dynamics:
         vertical = guidance.vertical
         if vertical == ModelVertical.THRUST:
             self.thrust = min(100.0, max(0.0, guidance.up))
-            lift = GRAVITY * self.thrust / airframe.hover_thrust * level
+            share: float = (self.thrust / self.hover_thrust) ** airframe.thrust_exponent
+            lift = GRAVITY * share * level
             return lift - airframe.vertical_drag * self.velocity_up
         limit = airframe.vertical_speed
         wanted = guidance.up
@@ -275,7 +402,8 @@ class Dynamics:
             acceleration = limit
         elif acceleration < -limit:
             acceleration = -limit
-        self.thrust = airframe.hover_thrust * (acceleration / GRAVITY + 1.0) / level
+        share = (acceleration / GRAVITY + 1.0) / level
+        self.thrust = self.hover_thrust * share ** (1.0 / airframe.thrust_exponent)
         return GRAVITY + acceleration
 
     def _commanded_tilt(

@@ -8,6 +8,7 @@ decides each step which guidance the aircraft follows. It does not judge the rig
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import replace
 from enum import Enum
 from math import radians
@@ -114,9 +115,9 @@ class FlightController:
     is over.
     """
 
-    def __init__(self, settings: AircraftSettings) -> None:
+    def __init__(self, settings: AircraftSettings, airframe: Airframe) -> None:
         self._settings = settings
-        self.dynamics = Dynamics(settings.airframe, yaw_deg=settings.heading_deg)
+        self.dynamics = Dynamics(airframe, yaw_deg=settings.heading_deg)
         self.tasks = TaskMachine()  # the flight mode command of the onboard device
         self.phase = FlightPhase.STANDBY  # flight status as telemetry shows it
         self.maneuver = Maneuver.NONE  # under way, of its own
@@ -124,11 +125,14 @@ class FlightController:
         self.battery_percent = 100.0  # 0 to 100, a float
         # Metres north and east of the origin, None while not recorded.
         self.home: tuple[float, float] | None = None
-        self.setpoint: wire.Setpoint | None = None  # the last movement command that was accepted
+        # The last movement command that was accepted.
+        self.setpoint: wire.ReceivedMove | wire.Setpoint | None = None
         self.timeouts = self.interruptions = 0
         self.now = 0.0
-        # The last setpoint's guidance, and the time until which it counts.
+        # The guidance of the setpoint in effect, those that take effect later and when, and until
+        # when the first counts.
         self._guidance = self._hover = self._mission_guidance = DynamicsInput()
+        self._delayed: deque[tuple[float, DynamicsInput]] = deque()
         self._setpoint_until = -math.inf
         # Without GPS it cannot hold a place: level, it drifts with the wind.
         self._level = DynamicsInput(ModelHorizontal.TILT)
@@ -141,18 +145,23 @@ class FlightController:
 
     # --- orders -----------------------------------------------------------------------------
 
-    def move(self, setpoint: wire.Setpoint) -> bool:
-        """Follow a setpoint for a while. Returns False where the aircraft ignores it."""
+    def move(self, setpoint: wire.ReceivedMove | wire.Setpoint) -> bool:
+        """Follow a setpoint for a while, as far as the airframe can, after its dead time.
+
+        Returns False where the aircraft ignores it.
+        """
         if self.maneuver is not Maneuver.NONE or not self.dynamics.motors_on:
             return False
         if setpoint.mode.horizontal is not wire.Horizontal.TILT and self.gps_health < GOOD_GPS:
             return False
-        self._guidance = self._guidance_for(setpoint)
+        begins = self.now + self.dynamics.airframe.command_delay
+        if self._delayed and self._delayed[-1][0] == begins:
+            self._delayed.pop()  # overtaken within a step
+        self._delayed.append((begins, self._guidance_for(setpoint)))
         self.setpoint = setpoint
-        self._setpoint_until = self.now + self._settings.movement_timeout
         return True
 
-    def _guidance_for(self, setpoint: wire.Setpoint) -> DynamicsInput:
+    def _guidance_for(self, setpoint: wire.ReceivedMove | wire.Setpoint) -> DynamicsInput:
         horizontal, vertical, yaw_mode = setpoint.mode
         body = setpoint.frame is wire.ReferenceFrame.BODY
         a, b, up = setpoint.x, setpoint.y, setpoint.z
@@ -164,8 +173,11 @@ class FlightController:
                 cosine, sine = math.cos(motion.yaw), math.sin(motion.yaw)
                 a, b = a * cosine - b * sine, a * sine + b * cosine
             a, b, body = motion.north + a, motion.east + b, False
+        else:
+            fastest = self.dynamics.airframe.horizontal_speed
+            a, b = min(fastest, max(-fastest, a)), min(fastest, max(-fastest, b))
         if vertical is wire.Vertical.HEIGHT:
-            up = min(up, self._settings.height_limit)
+            up = min(max(0.0, up), self._settings.height_limit)
         elif vertical is wire.Vertical.THRUST:
             up = max(up, self._settings.minimum_thrust)
         kind = ModelHorizontal(horizontal.value)
@@ -180,7 +192,7 @@ class FlightController:
             vertical=ModelVertical(vertical.value),
             up=up,
             yaw_mode=ModelYaw(yaw_mode.value),
-            yaw=radians(setpoint.yaw),
+            yaw=radians(min(180.0, max(-180.0, setpoint.yaw))),
             smooth=smooth,
         )
 
@@ -239,8 +251,7 @@ class FlightController:
     def stop_motors(self) -> None:
         """Motors off. In the air this is a crash."""
         self.dynamics.motors_on = False
-        self.setpoint = None
-        self._setpoint_until = -math.inf
+        self._forget_setpoints()
         self._begin(Maneuver.NONE)
         self.is_forced = False
         if self.dynamics.on_ground:
@@ -295,16 +306,14 @@ class FlightController:
         """Follow a mission, which says each step where to; setpoints wait meanwhile."""
         self._mission_guidance = guidance
         if self.maneuver is not Maneuver.MISSION:
-            self._setpoint_until = -math.inf
-            self.setpoint = None
+            self._forget_setpoints()
             self._begin(Maneuver.MISSION)
 
     def interrupt(self) -> None:
         """End its own manoeuvre and hover: control passed to somebody else."""
         self.interruptions += 1
         self.tasks.end(succeeded=False)
-        self._setpoint_until = -math.inf
-        self.setpoint = None
+        self._forget_setpoints()
         if self.is_forced or self.maneuver in (Maneuver.NONE, Maneuver.FINISH):
             return
         if self.dynamics.on_ground:
@@ -312,6 +321,11 @@ class FlightController:
             return
         self.phase = FlightPhase.IN_AIR
         self._begin(Maneuver.NONE)
+
+    def _forget_setpoints(self) -> None:
+        self.setpoint = None
+        self._delayed.clear()
+        self._setpoint_until = -math.inf
 
     @property
     def distance_home(self) -> float:
@@ -366,28 +380,37 @@ class FlightController:
                 self.tasks.end(succeeded=False)
                 self.stop_motors()
             return
-        rate = 100.0 / (60.0 * self._settings.hover_minutes)
+        airframe, full = motion.airframe, motion.airframe.hover_thrust
+        motion.hover_thrust = full + (airframe.empty_hover_thrust - full) * (
+            1.0 - 0.01 * self.battery_percent
+        )
+        rate = 100.0 / (60.0 * airframe.hover_minutes)
         if not motion.motors_on:
             rate *= 0.03
         elif motion.on_ground:
             rate *= 0.25
         else:
-            rate *= 0.7 + 0.3 * motion.thrust / self._settings.airframe.hover_thrust
+            rate *= 0.7 + 0.3 * motion.thrust / motion.hover_thrust
         left = self.battery_percent - rate * STEP_S
         self.battery_percent = left if left > 0.0 else 0.0
 
     def _orders(self, device: Device, remote: PilotRemote) -> DynamicsInput:
         if device is Device.ONBOARD:
+            while self._delayed and self._delayed[0][0] <= self.now - 0.5 * STEP_S:
+                begins, self._guidance = self._delayed.popleft()
+                self._setpoint_until = begins + self._settings.movement_timeout
             if self.now <= self._setpoint_until:
                 return self._guidance
-            if self.setpoint is not None:
-                self.setpoint = None
+            if self._setpoint_until > -math.inf:
+                self._setpoint_until = -math.inf
+                if not self._delayed:
+                    self.setpoint = None
                 if not self.dynamics.on_ground:
                     self.timeouts += 1
         elif device is Device.RC:
             sticks = remote.sticks()
             if sticks.are_moved:
-                return by_sticks(sticks, self._settings.airframe, self.gps_health >= GOOD_GPS)
+                return by_sticks(sticks, self.dynamics.airframe, self.gps_health >= GOOD_GPS)
         return self._hover if self.gps_health >= GOOD_GPS else self._level
 
     def _own_guidance(self) -> DynamicsInput:

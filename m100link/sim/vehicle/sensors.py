@@ -74,9 +74,7 @@ class Wander:
 Values = tuple[float, ...]  # the fields of one item
 
 # With noise = 1: decent sensors, well fused. The noise of a filtered value wanders: standard
-# deviation, and memory in seconds. The noise of an inertial sensor itself is white.
-_ACCELERATION_NOISE = 0.05
-_RATE_NOISE = 0.005
+# deviation, and memory in seconds. That of an inertial sensor is white, and its airframe has it.
 _PLACE = 0.2, 60.0
 _HEIGHT = 0.03, 300.0
 _VELOCITY = 0.03, 3.0
@@ -184,7 +182,7 @@ class Sensors:
 
     def _read_acceleration(self) -> Values:
         motion = self._motion
-        scale = self._scale * _ACCELERATION_NOISE
+        scale = self._scale * motion.airframe.accelerometer_noise
         x, y, z = self._noise() if scale else _NO_NOISE
         if self._authority.assistant.acceleration is AccelerationMode.RAW:
             felt = self._specific_force()
@@ -234,7 +232,7 @@ class Sensors:
         motion = self._motion
         if not self._scale:
             return motion.rate_x, motion.rate_y, motion.rate_z
-        scale = self._scale * _RATE_NOISE
+        scale = self._scale * motion.airframe.gyro_noise
         x, y, z = self._noise()
         return motion.rate_x + scale * x, motion.rate_y + scale * y, motion.rate_z + scale * z
 

@@ -70,7 +70,7 @@ class AircraftSettings:
     """The aircraft, its site, and the open questions of the protocol.
 
     Attributes:
-        airframe: Numbers of the flight model.
+        airframe: Numbers of the flight model; None: those of the firmware.
         missions: How it takes waypoint, hotpoint and follow missions.
         latitude_deg: Where the aircraft stands when it is switched on, degrees north.
         longitude_deg: The same, degrees east.
@@ -88,7 +88,6 @@ class AircraftSettings:
         go_home_height: Go-home climbs to this height first, metres.
         go_home_radius: Nearer to the home point than this, go-home lands in place, metres.
         height_limit: Nothing climbs beyond it, metres.
-        hover_minutes: How long a full battery carries the aircraft.
         low_battery_percent: From here down the aircraft warns.
         critical_battery_percent: From here down it lands by itself.
         gps_seconds: Time from power-on to good GPS reception when started cold.
@@ -120,7 +119,7 @@ class AircraftSettings:
         reboot_seconds: How long the autopilot is silent while it restarts.
     """
 
-    airframe: Airframe = field(default_factory=Airframe)
+    airframe: Airframe | None = None
     missions: MissionSettings = field(default_factory=MissionSettings)
     latitude_deg: float = 22.5431
     longitude_deg: float = 113.9589
@@ -134,7 +133,6 @@ class AircraftSettings:
     go_home_height: float = 20.0
     go_home_radius: float = 20.0
     height_limit: float = 120.0
-    hover_minutes: float = 22.0
     low_battery_percent: float = 25.0
     critical_battery_percent: float = 10.0
     gps_seconds: float = 30.0

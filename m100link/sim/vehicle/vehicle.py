@@ -26,7 +26,7 @@ from m100link.protocol.firmware import FirmwareProfile
 from m100link.protocol.records import Device, RcMode
 from m100link.sim.vehicle.activation import ActivationServer, ActivationState, MobileApp
 from m100link.sim.vehicle.authority import ControlArbiter
-from m100link.sim.vehicle.dynamics import STEP_S
+from m100link.sim.vehicle.dynamics import STEP_S, airframe_for
 from m100link.sim.vehicle.flight import FlightController
 from m100link.sim.vehicle.gimbal import Camera, GimbalMount
 from m100link.sim.vehicle.missions.actions import MissionPayload
@@ -71,7 +71,8 @@ class Vehicle:
         self.app = app or MobileApp(is_connected=True, has_internet=True)
         self.server = server or ActivationServer()
         self.serial_number = serial_number or f"041D{random.randrange(16**6):06X}"
-        self.flight = FlightController(self.settings)
+        airframe = self.settings.airframe or airframe_for(profile)
+        self.flight = FlightController(self.settings, airframe)
         self.gimbal = GimbalMount(self.flight.dynamics.yaw, follows=self.settings.gimbal_follows)
         self.camera = Camera(self.log)  # what hangs below
         self.activation = ActivationState(

@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import math
+import re
+from pathlib import Path
 
 import pytest
 
+from m100link.errors import UsageError
 from m100link.protocol import Attitude
+from m100link.protocol.records import Device
+from m100link.sim import AircraftSettings, PilotRemote, VirtualAircraft, read_airframe
 from m100link.sim.vehicle.dynamics import (
     GRAVITY,
     STEP_S,
@@ -45,6 +50,42 @@ def test_tilt_responds_as_a_critically_damped_second_order_system(
     run(motion, DynamicsInput(ModelHorizontal.TILT, a, b), seconds)
     closed_form = wanted * (1 - (1 + w * seconds) * math.exp(-w * seconds))
     assert getattr(motion, axis) == pytest.approx(closed_form, rel=1e-9)
+
+
+@pytest.mark.parametrize("damping", [0.3, 0.85, 1.7])
+@pytest.mark.parametrize("seconds", [0.05, 0.2, 0.5, 1.0])
+def test_tilt_responds_with_the_damping_of_the_airframe(seconds: float, damping: float) -> None:
+    w, wanted = 11.9, math.radians(10)
+    motion = hovering(Airframe(tilt_frequency=w, tilt_damping=damping))
+    run(motion, DynamicsInput(ModelHorizontal.TILT, wanted, 0.0), seconds)
+    if damping < 1.0:
+        swing = w * math.sqrt(1.0 - damping**2)
+        lag = damping * w / swing * math.sin(swing * seconds) + math.cos(swing * seconds)
+        left = math.exp(-damping * w * seconds) * lag
+    else:
+        slow, fast = (w * (damping + sign * math.sqrt(damping**2 - 1.0)) for sign in (-1, 1))
+        left = (fast * math.exp(-slow * seconds) - slow * math.exp(-fast * seconds)) / (fast - slow)
+    assert motion.roll == pytest.approx(wanted * (1.0 - left), rel=1e-9)
+
+
+def test_lift_grows_with_a_power_of_thrust() -> None:
+    """At twice the hover thrust and an exponent of 0.68: 2^0.68 = 1.602 times the weight."""
+    motion = hovering(Airframe(hover_thrust=38.2, thrust_exponent=0.68, vertical_drag=0.0))
+    run(motion, DynamicsInput(vertical=ModelVertical.THRUST, up=76.4), 1.0)
+    assert motion.velocity_up == pytest.approx(0.602 * GRAVITY, rel=1e-3)
+    motion.hover_thrust = 76.4  # by its battery
+    run(motion, DynamicsInput(vertical=ModelVertical.THRUST, up=76.4), 1.0)
+    assert motion.acceleration_up == pytest.approx(0.0, abs=1e-9)
+
+
+def test_the_thrust_of_velocity_control_is_the_one_that_flies_alike() -> None:
+    """The two ways of steering agree about lift: one accelerates, the other is told its thrust."""
+    airframe = Airframe(hover_thrust=38.2, thrust_exponent=0.68, vertical_drag=0.0)
+    one, two = hovering(airframe), hovering(airframe)
+    for _ in range(100):
+        one.step(DynamicsInput(vertical=ModelVertical.VELOCITY, up=3.0))
+        two.step(DynamicsInput(vertical=ModelVertical.THRUST, up=one.thrust))
+    assert two.velocity_up == pytest.approx(one.velocity_up, abs=1e-9)
 
 
 @pytest.mark.parametrize("seconds", [0.1, 0.35, 1.0])
@@ -401,3 +442,66 @@ def test_equal_inputs_give_equal_flights() -> None:
             run(motion, guidance, 3.0)
     names = ("north", "east", "height", "roll", "pitch", "yaw", "velocity_up")
     assert [getattr(first, name) for name in names] == [getattr(second, name) for name in names]
+
+
+# --- airframes ------------------------------------------------------------------------------
+
+
+def test_firmware_3_1_flies_as_measured_and_all_else_as_documented() -> None:
+    for firmware, frequency, tilt, dead in (
+        *(("1.0", 10.0, 30.0, 0.0), ("2.3", 10.0, 30.0, 0.0)),
+        *(("1.0-document", 10.0, 30.0, 0.0), ("3.1", 11.9, 35.5, 0.10)),
+    ):
+        airframe = VirtualAircraft(firmware=firmware).vehicle.flight.dynamics.airframe
+        flown = airframe.tilt_frequency, airframe.maximum_tilt_deg, airframe.command_delay
+        assert flown == (frequency, tilt, dead), firmware
+
+
+def test_settings_may_name_another_airframe() -> None:
+    settings = AircraftSettings(airframe=Airframe(drag=0.5))
+    virtual = VirtualAircraft(firmware="3.1", settings=settings)
+    assert virtual.vehicle.flight.dynamics.airframe == Airframe(drag=0.5)
+
+
+def test_hover_thrust_rises_evenly_as_the_battery_empties() -> None:
+    """38.2 % when full and 44 % when empty: 41.1 % at half."""
+    flight = VirtualAircraft(firmware="3.1").vehicle.flight
+    flight.battery_percent = 50.0
+    flight.step(0.01, Device.ONBOARD, PilotRemote())
+    assert flight.dynamics.hover_thrust == pytest.approx(41.1, abs=0.001)
+
+
+def test_a_file_names_numbers_of_an_airframe_and_its_base(tmp_path: Path) -> None:
+    heavy = tmp_path / "heavy.toml"
+    heavy.write_text('base = "measured-3.1.10"\nhover_thrust = 52\ncommand_delay = 0.15\n')
+    airframe = read_airframe(str(heavy))
+    assert (airframe.hover_thrust, airframe.command_delay) == (52.0, 0.15)
+    assert airframe.tilt_damping == 0.85
+    heavy.write_text("hover_thrust = 52.0\n")
+    assert read_airframe(str(heavy)) == Airframe(hover_thrust=52.0)
+    assert read_airframe("document") == Airframe()
+
+
+@pytest.mark.parametrize(
+    ("text", "seen"),
+    [
+        ("drag = -0.1", "drag of an airframe is -0.1"),
+        ("drag = nan", "drag of an airframe is nan"),
+        ("tilt_frequency = 1e9", "tilt_frequency of an airframe"),
+        ("wings = 2", "wings = 2 is no number of an airframe"),
+        ("drag = true", "drag = True is no number"),
+        ('drag = "0.1"', "drag = '0.1' is no number"),
+        ("base = 7", "no airframe is called 7"),
+        ("base = [1]", "no airframe is called"),
+        ('base = "paper"', "no airframe is called 'paper'"),
+        ("drag", "no airframe"),
+        ("\udcff", "no airframe"),
+    ],
+)
+def test_a_file_that_is_no_airframe_is_refused(text: str, seen: str, tmp_path: Path) -> None:
+    file = tmp_path / "bad.toml"
+    file.write_bytes(text.encode(errors="surrogateescape"))
+    with pytest.raises(UsageError, match=re.escape(seen)):
+        read_airframe(str(file))
+    with pytest.raises(UsageError, match="no airframe"):
+        read_airframe(str(tmp_path / "missing"))

@@ -21,8 +21,9 @@ from m100link.protocol import (
     Vertical,
     Yaw,
 )
+from m100link.protocol.records import RcMode
 from m100link.sim import Airframe
-from m100link.sim.vehicle.dynamics import GRAVITY
+from m100link.sim.vehicle.dynamics import GRAVITY, STEP_S
 from tests.sim.host import Host, aircraft
 
 VECTORS = json.loads((Path(__file__).parents[2] / "vectors" / "movement.json").read_text())
@@ -67,6 +68,7 @@ def test_each_mode_does_what_its_three_parts_say(
     if mode.horizontal is Horizontal.POSITION_OFFSET:
         # An offset is meant from the present place: sent once, held while the aircraft flies it.
         host.vehicle.flight.move(setpoint)
+        host.wait(0.2)  # its dead time has passed
         host.vehicle.flight._setpoint_until = math.inf
         host.wait(6.0)
     else:
@@ -112,7 +114,7 @@ def check_horizontal(
 def test_positive_yaw_rate_turns_right(rate: float, turned: float) -> None:
     host = airborne()
     host.fly(Setpoint.velocity(north=0, east=0, up=0, yaw_rate_deg_s=rate), 3.0)
-    lag = Airframe().yaw_time_constant * rate
+    lag = (0.12 + 0.10) * rate  # its lag, and its dead time
     assert math.degrees(host.motion.yaw) == pytest.approx(turned - lag, abs=1.0)
 
 
@@ -146,27 +148,100 @@ def test_tilt_in_1_0_is_always_in_the_body_frame(heading: float) -> None:
     assert track == pytest.approx(heading, abs=1.0)
 
 
+# --- dead time ------------------------------------------------------------------------------
+
+
+def test_a_command_takes_effect_after_the_dead_time_of_the_airframe() -> None:
+    """0.10 s on firmware 3.1, to the step; none in the document's airframe."""
+    for firmware, dead_steps in (("3.1", 10), ("2.3", 0)):
+        host = airborne(firmware=firmware)
+        steps = 0
+        while host.motion.roll == pytest.approx(0.0, abs=1e-9):
+            move = Move(0x0A, 10.0, 0.0, 0.0, 0.0)
+            host.send(move.encode(host.profile), session=0)
+            host.wait(STEP_S)
+            steps += 1
+        assert steps == dead_steps + 1, firmware
+
+
+def test_a_command_counts_for_its_time_after_the_dead_time_and_then_it_hovers() -> None:
+    host = airborne()
+    began = host.now
+    move = Move(0x4A, 5.0, 0.0, 0.0, 0.0)
+    host.send(move.encode(host.profile), session=0)
+    host.wait(0.5)
+    assert host.vehicle.flight.timeouts == 0
+    before = host.motion.velocity_north
+    host.wait(0.09)
+    assert host.motion.velocity_north > before, "still in effect at 0.59 s"
+    host.wait(0.03)
+    assert host.now - began == pytest.approx(0.62)
+    assert host.vehicle.flight.timeouts == 1
+    assert host.vehicle.flight.setpoint is None
+
+
+def test_commands_under_way_are_forgotten_when_control_passes_away() -> None:
+    host = airborne()
+    host.send(Move(0x0A, 20.0, 0.0, 0.0, 0.0).encode(host.profile), session=0)
+    host.wait(0.05)
+    host.aircraft.set_rc_mode(RcMode.P)
+    host.wait(0.5)
+    host.aircraft.set_rc_mode(RcMode.F)
+    host.wait(0.1)
+    host.send(Move(0x0A, 0.0, 0.0, 0.0, 0.0).encode(host.profile), session=0)
+    for _ in range(40):
+        host.wait(STEP_S)
+        assert abs(host.motion.roll) < 1e-6, "the old tilt came back"
+
+
 # --- ranges ---------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("move", "read", "limit"),
-    [
-        (Move(0x48, 50.0, 0.0, 0.0, 0.0), "velocity_north", 10.0),
-        (Move(0x48, 0.0, -50.0, 0.0, 0.0), "velocity_east", -10.0),
-        (Move(0x48, 0.0, 0.0, 50.0, 0.0), "velocity_up", 4.0),
-        (Move(0x48, 0.0, 0.0, -50.0, 0.0), "velocity_up", -4.0),
-        (Move(0x48, 0.0, 0.0, 0.0, 500.0), "rate_z", math.radians(100)),
-        (Move(0x0A, 80.0, 0.0, 0.0, 0.0), "roll", math.radians(30)),
-        (Move(0x0A, 0.0, -80.0, 0.0, 0.0), "pitch", math.radians(-30)),
+# Firmware, command, and what the airframe flies: document 3.2, and what owners of 3.1 saw.
+BEYOND = [
+    *[
+        (firmware, move, read, limit)
+        for firmware in ("1.0", "2.3", "3.1")
+        for move, read, limit in (
+            (Move(0x48, 0.0, 0.0, 50.0, 0.0), "velocity_up", 4.0),
+            (Move(0x48, 0.0, 0.0, -50.0, 0.0), "velocity_up", -4.0),
+            (Move(0x48, 0.0, 0.0, 0.0, 500.0), "rate_z", math.radians(100)),
+        )
     ],
-)
-def test_values_beyond_the_range_are_clamped(move: Move, read: str, limit: float) -> None:
-    host = airborne(height=60.0)
+    *[
+        (firmware, move, read, sign * limit)
+        for firmware, speed, tilt in (("1.0", 10.0, 30.0), ("2.3", 10.0, 30.0), ("3.1", 14.0, 35.5))
+        for move, read, sign, limit in (
+            (Move(0x48, 50.0, 0.0, 0.0, 0.0), "velocity_north", 1, speed),
+            (Move(0x48, 0.0, -50.0, 0.0, 0.0), "velocity_east", -1, speed),
+            (Move(0x0A, 80.0, 0.0, 0.0, 0.0), "roll", 1, math.radians(tilt)),
+            (Move(0x0A, 0.0, -80.0, 0.0, 0.0), "pitch", -1, math.radians(tilt)),
+        )
+    ],
+]
+
+
+@pytest.mark.parametrize(("firmware", "move", "read", "limit"), BEYOND)
+def test_values_beyond_the_range_are_flown_as_far_as_the_airframe_can(
+    firmware: str, move: Move, read: str, limit: float
+) -> None:
+    host = airborne(height=60.0, firmware=firmware)
     for _ in range(300):
         host.send(move.encode(host.profile), session=0)
         host.wait(0.02)
     assert getattr(host.motion, read) == pytest.approx(limit, rel=0.01)
+
+
+def test_a_height_below_the_ground_is_the_ground() -> None:
+    """It slows down before the ground, and does not come at 4 m/s."""
+    speeds = []
+    for height in (0.0, -50.0):
+        host = airborne(height=5.0)
+        while not host.motion.on_ground:
+            host.send(Move(0x58, 0.0, 0.0, height, 0.0).encode(host.profile), session=0)
+            host.wait(0.02)
+        speeds.append(host.motion.touchdown_speed)
+    assert speeds[1] == speeds[0] < 1.5
 
 
 def test_height_goes_to_the_height_limit_and_not_beyond() -> None:
@@ -334,6 +409,7 @@ def test_at_2_hz_the_aircraft_keeps_starting_and_stopping() -> None:
     for _ in range(6):
         host.move(NORTH)
         host.wait(0.6)
+    host.wait(0.1)  # the last one had its dead time, too
     assert host.vehicle.flight.timeouts == 6
 
 
@@ -423,7 +499,7 @@ def test_without_gps_it_drifts_with_the_wind() -> None:
     host.wait(10.0)
     assert host.motion.speed < 0.05, "position hold"
     host.aircraft.gps_health = 0
-    host.wait(20.0)
+    host.wait(40.0)
     assert host.motion.velocity_east == pytest.approx(3.0, abs=0.1)
 
 

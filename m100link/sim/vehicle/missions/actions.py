@@ -221,9 +221,8 @@ class Conditions:
     @property
     def _seconds_left(self) -> float:
         """How long the battery carries it until it would land by itself."""
-        settings = self.settings
-        left = self.flight.battery_percent - settings.critical_battery_percent
-        return max(0.0, left) / 100.0 * 60.0 * settings.hover_minutes
+        left = self.flight.battery_percent - self.settings.critical_battery_percent
+        return max(0.0, left) / 100.0 * 60.0 * self.flight.dynamics.airframe.hover_minutes
 
     @property
     def here(self) -> LocalPlace:

@@ -142,7 +142,7 @@ class MissionComputer:
         code = self._conditions.waypoints(plan)
         if code:
             return code
-        motion, airframe = self._flight.dynamics, self._settings.airframe
+        motion, airframe = self._flight.dynamics, self._flight.dynamics.airframe
         return self._begin(WaypointExecution(plan, motion, airframe, self._payload, self._missions))
 
     def set_idle_speed(self, speed: float) -> MissionCode:
@@ -167,7 +167,7 @@ class MissionComputer:
         if code:
             return code
         centre = self._site.place(command.latitude, command.longitude, command.altitude)
-        motion, airframe = self._flight.dynamics, self._settings.airframe
+        motion, airframe = self._flight.dynamics, self._flight.dynamics.airframe
         return self._begin(HotpointExecution(command, centre, motion, airframe, self._missions))
 
     def largest_radius(self, command: HotpointStart) -> float:
@@ -189,7 +189,7 @@ class MissionComputer:
         )
         if code:
             return code
-        motion, airframe = self._flight.dynamics, self._settings.airframe
+        motion, airframe = self._flight.dynamics, self._flight.dynamics.airframe
         return self._begin(FollowExecution(command, motion, airframe, self._missions, self._site))
 
     def _circle_stage(self, kind: type[Flown]) -> MissionPhase:

@@ -12,6 +12,7 @@ from m100link.protocol import RequestAuthority, StartTask, Task
 from m100link.protocol.codes import MissionCode as Code
 from m100link.protocol.commands.hotpoint import FollowStart
 from m100link.protocol.commands.waypoint import WaypointMission, WaypointStartStop
+from m100link.sim import Airframe
 from m100link.sim.vehicle.missions.route import NoFlyZone
 from tests.sim.host import Host
 from tests.sim.vehicle.missions.flights import OK, SQUARE, host, hotpoint, point, upload
@@ -197,7 +198,8 @@ PLANS: dict[str, tuple[list[tuple[float, float, float]], dict[str, Any], dict[st
 @pytest.mark.parametrize("name", PLANS)
 def test_a_plan_against_the_limits(name: str) -> None:
     places, fields, missions, code = PLANS[name]
-    program = host(**{"radius_limit": math.inf} | missions)
+    given = {"radius_limit": math.inf} | missions
+    program = host({"airframe": Airframe()}, **given)  # whose battery hovers for 22 minutes
     points = [point(index, *place) for index, place in enumerate(places)]
     assert upload(program, points, **fields)[1][-1] == OK
     assert start_waypoints(program) == code

@@ -15,6 +15,7 @@ from m100link.protocol.commands.waypoint import (
     WaypointSetIdleSpeed,
 )
 from m100link.protocol.records import FlightPhase
+from m100link.sim import Airframe
 from m100link.sim.vehicle.missions.route import LocalPlace, legs_between
 from m100link.sim.vehicle.missions.waypoints import WaypointExecution, WaypointPhase
 from tests.sim.host import Host
@@ -385,7 +386,7 @@ def test_a_pause_hovers_and_changes_nothing_about_the_rest(after: float) -> None
 
 
 def test_fifty_points_with_actions_each_once_and_in_order() -> None:
-    program = host(settings={"hover_minutes": 60.0})
+    program = host(settings={"airframe": Airframe(hover_minutes=60.0)})
     places = [
         (4.0 * (i // 10), 6.0 * (i % 10 if i // 10 % 2 == 0 else 9 - i % 10), 10 + i % 3)
         for i in range(50)
