@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 from m100link.errors import UsageError
 from m100link.protocol.records import Device
-from m100link.protocol.setpoint import Horizontal, ReceivedMove, Vertical, Yaw
+from m100link.protocol.setpoint import Horizontal, ReceivedMove, ReferenceFrame, Vertical, Yaw
 from m100link.sim.vehicle.dynamics import RANGES, STEP_S, Airframe
 from m100link.sim.vehicle.flight import FlightController
 from m100link.sim.vehicle.remote import PilotRemote
@@ -32,7 +32,7 @@ Series = list[tuple[float, ...]]
 
 
 @dataclass(slots=True, kw_only=True)
-class Recording:
+class FlightRecording:
     """A flight as it was commanded and measured. Axes and signs are those of the document.
 
     Times are seconds of any one clock.
@@ -64,21 +64,26 @@ _GAP_S = 0.5  # as long as the aircraft flies on without a movement command
 _SHORTEST_S = 1.5
 _STILL = 0.02  # m/s: slower in all axes for longer than a gap, it stands
 _BOUNCE, _BOUNCE_RATE = 0.3, 20.0  # m/s and m/s²: upwards so fast no thrust changes it
+_SAME_S = 1e-6  # two times that differ less are one, whatever the clock
 _HIGH = 1000.0  # metres: where the height of a recording is not known, no drift reaches the ground
 
 
-class Span(NamedTuple):
+class TimeSpan(NamedTuple):
     """A part of a recording in which movement commands fly the aircraft, s."""
 
     begin: float
     end: float
 
 
-def spans(recording: Recording) -> list[Span]:
+def _time(row: tuple[float, ...]) -> float:
+    return row[0]
+
+
+def spans(recording: FlightRecording) -> list[TimeSpan]:
     """The parts of a recording that can be flown again."""
     sent = [at for at, _ in recording.moves]
     seen = [row[0] for row in recording.attitude]
-    found: list[Span] = []
+    found: list[TimeSpan] = []
     begin = end = math.nan
     still_since = math.inf
     for before, row in pairwise(recording.velocity):
@@ -98,10 +103,10 @@ def spans(recording: Recording) -> list[Span]:
             end = now
             continue
         if end - begin >= _SHORTEST_S:
-            found.append(Span(begin, end))
+            found.append(TimeSpan(begin, end))
         begin, end = (now, now) if is_flown else (math.nan, math.nan)
     if end - begin >= _SHORTEST_S:
-        found.append(Span(begin, end))
+        found.append(TimeSpan(begin, end))
     return found
 
 
@@ -112,13 +117,13 @@ def _is_near(times: Sequence[float], now: float) -> bool:
 
 
 def _newest(series: Series, now: float, without: float) -> float:
-    place = bisect_right(series, now, key=lambda row: row[0])
+    place = bisect_right(series, now, key=_time)
     return series[place - 1][1] if place else without
 
 
 def _at(series: Series, now: float) -> tuple[float, ...]:
     """The values at a time, between two rows in proportion; an angle takes the short way."""
-    place = min(max(1, bisect_left(series, now, key=lambda row: row[0])), len(series) - 1)
+    place = min(max(1, bisect_left(series, now, key=_time)), len(series) - 1)
     before, after = series[place - 1], series[place]
     share = min(1.0, max(0.0, (now - before[0]) / ((after[0] - before[0]) or 1.0)))
     return tuple(one + share * (two - one) for one, two in zip(before[1:], after[1:], strict=True))
@@ -140,12 +145,12 @@ SIGNALS = {
     **{"roll": "°", "pitch": "°", "yaw": "°"},
     **{"north": "m/s", "east": "m/s", "up": "m/s"},
 }
-"""What is compared, and its unit: attitude, and velocity over ground."""
+"""The compared signals and their units: attitude, and velocity over ground."""
 
 Row = tuple[float, ...]  # one value of each signal
 
 
-class Flown(NamedTuple):
+class SpanFlight(NamedTuple):
     """A span as it was recorded and as the virtual aircraft flies it, a row for each step."""
 
     begin: float
@@ -156,15 +161,17 @@ class Flown(NamedTuple):
 class _Replay:
     """One span, prepared once and flown with many airframes."""
 
-    def __init__(self, recording: Recording, attitude: Series, span: Span) -> None:
+    def __init__(self, recording: FlightRecording, attitude: Series, span: TimeSpan) -> None:
         self.begin = span.begin
         self._times = [
             span.begin + step * STEP_S for step in range(1, int((span.end - span.begin) / STEP_S))
         ]
         self._start = _at(attitude, span.begin)
-        later = _at(attitude, span.begin + 2 * STEP_S)
+        around = [step * STEP_S for step in range(-5, 6)]
+        rows = [_at(attitude, span.begin + one) for one in around]
+        square = sum(map(mul, around, around))
         self._turning = tuple(
-            (two - one) / (2 * STEP_S) for one, two in zip(self._start, later, strict=True)
+            sum(map(mul, around, axis)) / square for axis in zip(*rows, strict=True)
         )
         self._velocity = _at(recording.velocity, span.begin)
         first = bisect_left(recording.moves, span.begin - 2.0, key=lambda move: move[0])
@@ -181,7 +188,20 @@ class _Replay:
             self.recorded.append((*map(math.degrees, angles), *velocity[:3]))
 
     def fly(self, airframe: Airframe) -> list[Row]:
-        """The signals, a row for each step."""
+        """The signals, a row for each step; dead time between steps is between two flights."""
+        steps = airframe.command_delay / STEP_S
+        whole = math.floor(steps + _SAME_S)
+        rows = self._fly(replace(airframe, command_delay=whole * STEP_S))
+        share = steps - whole
+        if share <= _SAME_S:
+            return rows
+        later = self._fly(replace(airframe, command_delay=(whole + 1) * STEP_S))
+        return [
+            tuple(a + share * (b - a) for a, b in zip(one, two, strict=True))
+            for one, two in zip(rows, later, strict=True)
+        ]
+
+    def _fly(self, airframe: Airframe) -> list[Row]:
         control = FlightController(AircraftSettings(height_limit=math.inf), airframe)
         motion, remote = control.dynamics, PilotRemote()
         motion.place(0.0, 0.0, self._height)
@@ -190,7 +210,7 @@ class _Replay:
         moves, place, rows = self.moves, 0, []
         heading = self._start[2]
         for now, battery in zip(self._times, self._battery, strict=True):
-            while place < len(moves) and moves[place][0] <= now - STEP_S:
+            while place < len(moves) and moves[place][0] <= now - STEP_S + _SAME_S:
                 control.now, move = moves[place]
                 control.move(move)
                 place += 1
@@ -207,14 +227,14 @@ def _kind(mode: Horizontal | Vertical | Yaw) -> str:
     return f"{type(mode).__name__}.{mode.name}"
 
 
-class Replays:
+class ReplayedSpans:
     """All spans of some recordings, to be flown with one airframe or another.
 
     Raises:
         UsageError: None of them has a span that can be flown.
     """
 
-    def __init__(self, recordings: Iterable[Recording]) -> None:
+    def __init__(self, recordings: Iterable[FlightRecording]) -> None:
         self._replays: list[_Replay] = []
         self.recordings = list(recordings)
         for recording in self.recordings:
@@ -230,11 +250,20 @@ class Replays:
             )
         moves = [move for one in self._replays for _, move in one.moves]
         # By name, for values of the three enumerations are equal as numbers.
+        self.tilts_over_ground = any(
+            one.mode.horizontal is Horizontal.TILT and one.frame is ReferenceFrame.GROUND
+            for one in moves
+        )
         self.kinds = frozenset(_kind(mode) for move in moves for mode in move.mode)
 
-    def fly(self, airframe: Airframe) -> list[Flown]:
+    @property
+    def recorded(self) -> list[list[Row]]:
+        """The recorded signals of each span, a row for each step."""
+        return [one.recorded for one in self._replays]
+
+    def fly(self, airframe: Airframe) -> list[SpanFlight]:
         """Fly all spans."""
-        return [Flown(one.begin, one.recorded, one.fly(airframe)) for one in self._replays]
+        return [SpanFlight(one.begin, one.recorded, one.fly(airframe)) for one in self._replays]
 
 
 # -- residuals -------------------------------------------------------------------------------------
@@ -262,7 +291,7 @@ class Residual(NamedTuple):
     delay_s: float
 
 
-def residuals(flights: Sequence[Flown]) -> list[Residual]:
+def residuals(flights: Sequence[SpanFlight]) -> list[Residual]:
     """The residual of each signal over all spans."""
     found = []
     for place, (signal, unit) in enumerate(SIGNALS.items()):
@@ -302,23 +331,31 @@ def _correlation(pairs: Sequence[tuple[list[float], list[float]]], lag: int) -> 
     return together / math.sqrt(alone) if alone > 1e-12 else math.nan
 
 
-_STRETCH, _LEAST_STRETCHES = 200, 5  # rows
+_STRETCH_S, _LEAST_ROWS = 2.0, 50
+_TURNS = math.radians(1.0)  # more, and motion is in the noise
 
 
-def noise_of(series: Series) -> float | None:
-    """Standard deviation of the noise of a sensor; None with fewer than 1,000 rows.
+def noise_of(series: Series, attitude: Series) -> float | None:
+    """Standard deviation of the noise of a sensor; None where the aircraft never rests.
 
-    That of its quietest stretches of 200 rows: in all others motion is in it, too. Rows that repeat
-    the last one are left out, because telemetry may be faster than the sensor.
+    That of stretches of two seconds in which no angle changes by a degree, in the middle. Rows that
+    repeat the last one are left out, because telemetry may be faster than the sensor.
     """
     rows = [two for one, two in pairwise(series) if one[1:] != two[1:]]
     found: list[float] = []
-    for begin in range(0, len(rows) - _STRETCH + 1, _STRETCH):
-        _, *axes = zip(*rows[begin : begin + _STRETCH], strict=True)
-        found += map(pstdev, axes)
-    if len(rows) < _LEAST_STRETCHES * _STRETCH:
-        return None
-    return sorted(found)[len(found) // 10]
+    begin = 0
+    while begin < len(rows):
+        since = rows[begin][0]
+        end = bisect_left(rows, since + _STRETCH_S, key=_time)
+        first, last = (bisect_left(attitude, at, key=_time) for at in (since, since + _STRETCH_S))
+        turns = attitude[first:last]
+        rests = len(turns) > 1 and all(
+            max(axis) - min(axis) < _TURNS for axis in list(zip(*turns, strict=True))[1:]
+        )
+        if rests and end - begin >= _LEAST_ROWS:
+            found += map(pstdev, list(zip(*rows[begin:end], strict=True))[1:])
+        begin = end
+    return median(found) if found else None
 
 
 # -- the fit ---------------------------------------------------------------------------------------
@@ -327,8 +364,9 @@ def noise_of(series: Series) -> float | None:
 
 _ATTITUDE, _YAW, _VELOCITY = slice(0, 2), slice(2, 3), slice(3, 6)
 _EVERY = 3  # steps from one row of the fit to the next
-_MOST_ROUNDS = 15
-_SETTLED = 1e-4  # a round that improves by less ends a stage
+_MOST_ROUNDS = 25
+_SETTLED = 0.02  # after a round that improves by less, the steps of derivatives are smaller
+_FINEST = 0.01  # of the steps of the table
 
 
 class _Constant(NamedTuple):
@@ -374,6 +412,10 @@ _STAGES: tuple[tuple[slice, tuple[_Constant, ...]], ...] = (
     ),
 )
 _DELAY = _Constant("command_delay", 0.03, (Horizontal.VELOCITY, Vertical.VELOCITY))
+_LIMITS: dict[str, tuple[int, ...]] = {
+    **{"maximum_tilt_deg": (0, 1), "horizontal_speed": (3, 4), "vertical_speed": (5,)}
+}
+"""Limits, and the signals that stay below them: their search begins where these end."""
 _BLUNT = 10.0  # steps: a constant with a larger error is not known
 _SENSITIVE = 0.01  # degrees or m/s, rms, for one step of a constant: less, and nothing shows it
 _BATTERY_SPAN = 10.0  # percent: with less in a recording, thrust by battery cannot be seen
@@ -407,7 +449,9 @@ class Fit(NamedTuple):
     found: list[Found]
 
 
-def fit(replays: Replays, start: Airframe, progress: Callable[[str], None] | None = None) -> Fit:
+def fit(
+    replays: ReplayedSpans, start: Airframe, progress: Callable[[str], None] | None = None
+) -> Fit:
     """Find the constants that the recordings show, from those of an airframe.
 
     Args:
@@ -417,7 +461,10 @@ def fit(replays: Replays, start: Airframe, progress: Callable[[str], None] | Non
     """
     airframe = start
     found: list[Found] = []
-    for signals, constants in _STAGES:
+    # Tilt in the ground frame turns with the nose: its stage comes again when yaw is known.
+    stages = (*_STAGES[:2], *_STAGES) if replays.tilts_over_ground else _STAGES
+    for signals, constants in stages:
+        found = [one for one in found if one.name not in {each.name for each in constants}]
         names = [one for one in constants if _is_shown(one, replays)]
         if signals is _VELOCITY and all(one.name != "command_delay" for one in found):
             names += [_DELAY] if _is_shown(_DELAY, replays) else []
@@ -426,7 +473,8 @@ def fit(replays: Replays, start: Airframe, progress: Callable[[str], None] | Non
         begin = airframe
         errors: dict[str, float] = {}
         while names:
-            airframe, errors = _nearest(replays, begin, names, signals)
+            guess = _with_limits(replays, begin, [one.name for one in names])
+            airframe, errors = _nearest(replays, guess, names, signals)
             shown = [one for one in names if errors.get(one.name, math.inf) < _BLUNT * one.step]
             if len(shown) == len(names):
                 break
@@ -441,7 +489,22 @@ def fit(replays: Replays, start: Airframe, progress: Callable[[str], None] | Non
     return Fit(airframe, found)
 
 
-def _is_shown(constant: _Constant, replays: Replays) -> bool:
+def _with_limits(replays: ReplayedSpans, airframe: Airframe, names: Sequence[str]) -> Airframe:
+    for name in names:
+        if name in _LIMITS:
+            seen = sorted(
+                abs(row[place])
+                for one in replays.recorded
+                for row in one
+                for place in _LIMITS[name]
+            )
+            low, high = RANGES[name]
+            most = seen[len(seen) * 99 // 100]
+            airframe = replace(airframe, **{name: min(high, max(low, most))})
+    return airframe
+
+
+def _is_shown(constant: _Constant, replays: ReplayedSpans) -> bool:
     if constant.name == "empty_hover_thrust":
         charges = [row[1] for one in replays.recordings for row in one.battery]
         if not charges or max(charges) - min(charges) < _BATTERY_SPAN:
@@ -449,16 +512,16 @@ def _is_shown(constant: _Constant, replays: Replays) -> bool:
     return not replays.kinds.isdisjoint(map(_kind, constant.kinds))
 
 
-def _noises(recordings: Sequence[Recording]) -> Iterator[tuple[str, float]]:
+def _noises(recordings: Sequence[FlightRecording]) -> Iterator[tuple[str, float]]:
     for name, rows in (("gyro_noise", "rates"), ("accelerometer_noise", "acceleration")):
-        values = [noise_of(getattr(one, rows)) for one in recordings]
+        values = [noise_of(getattr(one, rows), _unwrapped(one.attitude)) for one in recordings]
         known = [value for value in values if value is not None]
         if known:
             yield name, min(RANGES[name][1], median(known))
 
 
 def _nearest(
-    replays: Replays, airframe: Airframe, constants: Sequence[_Constant], signals: slice
+    replays: ReplayedSpans, airframe: Airframe, constants: Sequence[_Constant], signals: slice
 ) -> tuple[Airframe, dict[str, float]]:
     """The nearest airframe by some constants, and the standard errors of those that show."""
 
@@ -472,11 +535,12 @@ def _nearest(
 
     now = difference(airframe)
     error = sum(map(mul, now, now))
-    damping, errors = 1e-3, {}
+    damping, scale = 1e-3, 1.0
+    errors: dict[str, float] = {}
     for _ in range(_MOST_ROUNDS if constants else 0):
         slopes: dict[str, list[float]] = {}
         for one in constants:
-            moved = _moved(airframe, one.name, one.step)
+            moved = _moved(airframe, one.name, scale * one.step)
             step = getattr(moved, one.name) - getattr(airframe, one.name)
             slope = [(new - old) / step for new, old in zip(difference(moved), now, strict=True)]
             if math.sqrt(sum(map(mul, slope, slope)) / len(slope)) * one.step > _SENSITIVE:
@@ -502,7 +566,9 @@ def _nearest(
                 break
             damping *= 10.0
         if before - error < _SETTLED * before:
-            break
+            scale, damping = scale / 4.0, 1e-3
+            if scale < _FINEST:
+                break
     return airframe, errors
 
 

@@ -125,7 +125,7 @@ MEASURED = "measured-3.1.10"
 AIRFRAMES: dict[str, Airframe] = {
     "document": Airframe(),
     MEASURED: Airframe(
-        tilt_frequency=11.9,
+        tilt_frequency=11.7,
         tilt_damping=0.85,
         command_delay=0.10,
         maximum_tilt_deg=35.5,

@@ -117,7 +117,8 @@ class FlightController:
 
     def __init__(self, settings: AircraftSettings, airframe: Airframe) -> None:
         self._settings = settings
-        self.dynamics = Dynamics(airframe, yaw_deg=settings.heading_deg)
+        # That of the firmware, unless the settings name another.
+        self.dynamics = Dynamics(settings.airframe or airframe, yaw_deg=settings.heading_deg)
         self.tasks = TaskMachine()  # the flight mode command of the onboard device
         self.phase = FlightPhase.STANDBY  # flight status as telemetry shows it
         self.maneuver = Maneuver.NONE  # under way, of its own
