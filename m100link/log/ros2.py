@@ -11,6 +11,7 @@ from functools import cached_property
 from operator import attrgetter
 from typing import IO, Any, NamedTuple
 
+from m100link.errors import BadSetpoint
 from m100link.log.cdr import Template, definition, encode, full_name
 from m100link.log.channels import COMMAND, EVENT
 from m100link.log.reading import FlightLog
@@ -28,6 +29,14 @@ from m100link.protocol.records import (
     RemoteControl,
     Velocity,
     quaternion,
+)
+from m100link.protocol.setpoint import (
+    ControlMode,
+    Horizontal,
+    ReceivedMove,
+    ReferenceFrame,
+    Vertical,
+    Yaw,
 )
 from m100link.telemetry.integrity import has_fix
 from m100link.telemetry.sample import Sample
@@ -377,6 +386,35 @@ DJI_TOPICS: Mapping[str, DjiTopic] = {
     "battery_state": DjiTopic("sensor_msgs/BatteryState", "", _of("battery", _dji_battery)),
 }
 """By its name below ``dji_sdk/``."""
+
+
+def joy_move(flag: int, x: float, y: float, z: float, yaw: float) -> ReceivedMove:
+    """A movement command from ROS frames (DJI's ``flight_control_setpoint_*`` topics).
+
+    ``x``: east or forward (m, m/s), or roll (rad). ``y``: north or left (m, m/s), or pitch (rad, as
+    DJI's node has it: negated). ``z``: up (m, m/s) or thrust (%). ``yaw``: counter-clockwise from
+    east (rad), or rate (rad/s).
+
+    Raises ``BadSetpoint``: the flag names no mode or no frame.
+    """
+    try:
+        horizontal, vertical = Horizontal(flag >> 6 & 3), Vertical(flag >> 4 & 3)
+    except ValueError:
+        raise BadSetpoint(f"control flag 0x{flag:02X} names no control mode") from None
+    if flag & 0x04:
+        raise BadSetpoint(f"control flag 0x{flag:02X} names no frame: its bit 2 is reserved")
+    yaw_mode, frame = Yaw(flag >> 3 & 1), ReferenceFrame(flag >> 1 & 1)
+    if horizontal is Horizontal.TILT:
+        first, second, frame = math.degrees(x), math.degrees(-y), ReferenceFrame.BODY
+    elif frame is ReferenceFrame.GROUND:
+        first, second = y, x
+    else:
+        first, second = x, -y
+    if yaw_mode is Yaw.RATE:
+        turn = math.degrees(-yaw)
+    else:
+        turn = math.remainder(90.0 - math.degrees(yaw), 360.0)
+    return ReceivedMove(ControlMode(horizontal, vertical, yaw_mode), first, second, z, turn, frame)
 
 
 # -- ros2 ------------------------------------------------------------------------------------------

@@ -110,6 +110,8 @@ _ROWS = {
         ("demo", "demo", "--speed max", "--side 20 --firmware 3.1"),
         ("sim", "sim:app", "--link m100", "--tcp 7000 --firmware 3.1 --wind-north 5"),
         ("sim ctl", "", "rc-mode P", "battery 12"),
+        ("sim compare", "", "flight.bag", "flight.mcap --airframe document --plot both.png"),
+        ("sim fit", "", "flight.bag -o mine.toml", "one.mcap two.bag --check three.bag --json"),
     ),
     "Set up": (
         ("ports", "connection", "", "--json"),

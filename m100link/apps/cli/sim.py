@@ -7,7 +7,7 @@ import os
 import secrets
 import signal
 import sys
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -42,6 +42,7 @@ from m100link.sim.ports.driver import (
 )
 from m100link.sim.ports.pty import PtyPort
 from m100link.sim.vehicle.activation import DEMO_APP_ID, DEMO_KEY
+from m100link.sim.vehicle.dynamics import read_airframe
 from m100link.sim.vehicle.missions.route import MissionSettings
 from m100link.sim.vehicle.settings import AircraftSettings, AssistantSettings
 from m100link.sim.virtual import VirtualAircraft
@@ -54,6 +55,9 @@ if TYPE_CHECKING:
 
 
 app = group("sim", "Run a virtual Matrice 100, for people and for programs.")
+
+for _verb, _function in (("compare", "compare"), ("fit", "fit_recordings")):
+    app.command(f"m100link.apps.cli.sim_fit:{_function}", name=_verb)
 
 
 @Parameter(name="*", group=panel("Line faults"))
@@ -169,6 +173,7 @@ def run(
     *,
     firmware: Simulated = "1.0",
     seed: int | None = None,
+    airframe: str | None = None,
     cold: bool = False,
     speed: float = 1.0,
     scenario: Path | None = None,
@@ -188,6 +193,8 @@ def run(
 
     Args:
         seed: Seed of everything random; by default a new one, which the command prints.
+        airframe: How it flies: document, measured-3.1.10, or a file of `m100link sim fit`; by
+            default that of the firmware.
         cold: Start as after power-on: API control not enabled, switch in P, no app, no GPS.
         speed: Speed of its clock, times real time.
         scenario: TOML file of timed events.
@@ -209,8 +216,11 @@ def run(
         "activated": registered.activated,
     }
     try:
+        settings = site.settings(missions.settings())
+        if airframe is not None:
+            settings = replace(settings, airframe=read_airframe(airframe))
         options |= {
-            "settings": site.settings(missions.settings()),
+            "settings": settings,
             "faults": faults.faults(),
             "assistant": assistant.settings(cold=cold),
         }

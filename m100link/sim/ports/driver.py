@@ -22,6 +22,7 @@ from m100link.protocol.records import AccelerationMode
 from m100link.sim.clock import LockstepEventLoop, VirtualClockEventLoop, loop_factory
 from m100link.sim.line import LineFaults, is_telemetry
 from m100link.sim.vehicle.activation import DEMO_APP_ID, DEMO_KEY
+from m100link.sim.vehicle.dynamics import read_airframe
 from m100link.sim.vehicle.missions.route import MissionSettings
 from m100link.sim.vehicle.settings import AircraftSettings, AssistantSettings
 from m100link.sim.virtual import VirtualAircraft
@@ -393,7 +394,7 @@ _EXAMPLE = "sim://?firmware=3.1&speed=10&loss=0.1&seed=7"
 _OWN: dict[str, Any] = {
     **{"firmware": str, "seed": int, "app-id": int, "key": str, "level": int},
     **{"cold": bool, "activated": bool, "speed": str, "pace": bool, "baud": int},
-    "acceleration": str,
+    **{"airframe": str, "acceleration": str},
 }
 _TRUE, _FALSE = ("1", "true", "yes", "on", ""), ("0", "false", "no", "off")
 
@@ -519,7 +520,9 @@ def aircraft_of(url: str) -> VirtualAircraft:
             cold=cold,
             activated=options.get("activated", False),
             settings=AircraftSettings(
-                **taken(SITE_OPTIONS), missions=MissionSettings(**taken(MISSION_OPTIONS))
+                **taken(SITE_OPTIONS),
+                airframe=read_airframe(options["airframe"]) if "airframe" in options else None,
+                missions=MissionSettings(**taken(MISSION_OPTIONS)),
             ),
             assistant=assistant,
             faults=LineFaults(**taken(LINE_OPTIONS)),

@@ -20,21 +20,14 @@ from m100link.apps.station.ros.graph import Graph, GraphListener, RosTopic, Serv
 from m100link.apps.station.ros.leases import TASKS, Clients
 from m100link.apps.station.ros.messages import Message, present
 from m100link.apps.station.ros.missions import MissionTopics
-from m100link.errors import BadSetpoint, GuardRefused, M100Error, UsageError
+from m100link.errors import GuardRefused, M100Error, UsageError
 from m100link.geodesy import LocalFrame
-from m100link.log.ros2 import DJI_TOPICS, DjiTopic
+from m100link.log.ros2 import DJI_TOPICS, DjiTopic, joy_move
 from m100link.protocol.commands.control import Arm
 from m100link.protocol.commands.gimbal import GimbalAngle, GimbalAngleMode, GimbalSpeed
 from m100link.protocol.firmware import FIRMWARE_3_1
 from m100link.protocol.records import Position
-from m100link.protocol.setpoint import (
-    ControlMode,
-    Horizontal,
-    ReferenceFrame,
-    Setpoint,
-    Vertical,
-    Yaw,
-)
+from m100link.protocol.setpoint import Setpoint
 from m100link.telemetry.integrity import has_fix
 from m100link.telemetry.sample import Sample
 from m100link.telemetry.subscription import Newest
@@ -43,32 +36,11 @@ _WAY = "way of setpoints"
 
 
 def joy_setpoint(flag: int, x: float, y: float, z: float, yaw: float) -> Setpoint:
-    """A setpoint from ROS frames (DJI's ``flight_control_setpoint_*`` topics).
+    """A setpoint from ROS frames, as :func:`m100link.log.ros2.joy_move` has it.
 
-    ``x``: east or forward (m, m/s), or roll (rad). ``y``: north or left (m, m/s), or pitch (rad, as
-    DJI's node has it: negated). ``z``: up (m, m/s) or thrust (%). ``yaw``: counter-clockwise from
-    east (rad), or rate (rad/s).
-
-    Raises ``BadSetpoint``: the flag names no mode or no frame, or a value is out of range.
+    Raises ``BadSetpoint``: as there, or a value is out of range.
     """
-    try:
-        horizontal, vertical = Horizontal(flag >> 6 & 3), Vertical(flag >> 4 & 3)
-    except ValueError:
-        raise BadSetpoint(f"control flag 0x{flag:02X} names no control mode") from None
-    if flag & 0x04:
-        raise BadSetpoint(f"control flag 0x{flag:02X} names no frame: its bit 2 is reserved")
-    yaw_mode, frame = Yaw(flag >> 3 & 1), ReferenceFrame(flag >> 1 & 1)
-    if horizontal is Horizontal.TILT:
-        first, second, frame = math.degrees(x), math.degrees(-y), ReferenceFrame.BODY
-    elif frame is ReferenceFrame.GROUND:
-        first, second = y, x
-    else:
-        first, second = x, -y
-    if yaw_mode is Yaw.RATE:
-        turn = math.degrees(-yaw)
-    else:
-        turn = math.remainder(90.0 - math.degrees(yaw), 360.0)
-    return Setpoint(ControlMode(horizontal, vertical, yaw_mode), first, second, z, turn, frame)
+    return Setpoint(*joy_move(flag, x, y, z, yaw))
 
 
 class DjiSdk:

@@ -1,0 +1,199 @@
+"""``m100link sim compare`` and ``fit``: bags of both nodes, flight logs, and what is written."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from m100link.apps.cli.sim_fit import read_recording
+from m100link.apps.cli.terminal import ExitCode
+from m100link.errors import UsageError
+from m100link.protocol.setpoint import ControlMode, Horizontal, ReferenceFrame, Vertical, Yaw
+from m100link.sim import read_airframe
+from tests.apps.cli.conftest import CommandLine
+
+rosbag1 = pytest.importorskip("rosbags.rosbag1", reason="the extra `analysis` is not installed")
+typesys = pytest.importorskip("rosbags.typesys")
+
+MORE = {
+    "mav_msgs/msg/RollPitchYawrateThrust": "std_msgs/Header header\nfloat64 roll\nfloat64 pitch\n"
+    "float64 yaw_rate\ngeometry_msgs/Vector3 thrust\n",
+    "dji_sdk/msg/AttitudeQuaternion": "std_msgs/Header header\nint32 ts\nfloat32 q0\nfloat32 q1\n"
+    "float32 q2\nfloat32 q3\nfloat32 wx\nfloat32 wy\nfloat32 wz\n",
+    "dji_sdk/msg/Velocity": "std_msgs/Header header\nint32 ts\nfloat32 vx\nfloat32 vy\n"
+    "float32 vz\nuint8 health_flag\n",
+}
+STORE = typesys.get_typestore(typesys.Stores.ROS1_NOETIC)
+for _name, _text in MORE.items():
+    STORE.register(typesys.get_types_from_msg(_text, _name))
+
+
+def made(kind: str, **values: Any) -> Any:
+    return STORE.types[kind](**values)
+
+
+def header() -> Any:
+    stamp = made("builtin_interfaces/msg/Time", sec=0, nanosec=0)
+    return made("std_msgs/msg/Header", seq=0, stamp=stamp, frame_id="")
+
+
+def vector(x: float, y: float, z: float) -> Any:
+    return made("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
+
+
+def turned(w: float, x: float, y: float, z: float) -> Any:
+    return made("geometry_msgs/msg/Quaternion", w=w, x=x, y=y, z=z)
+
+
+def write(path: Path, messages: list[tuple[float, str, Any]]) -> Path:
+    with rosbag1.Writer(path) as bag:
+        connections: dict[str, Any] = {}
+        for at, topic, message in messages:
+            kind = message.__msgtype__
+            if topic not in connections:
+                connections[topic] = bag.add_connection(topic, kind, typestore=STORE)
+            data = STORE.serialize_ros1(message, kind)
+            bag.write(connections[topic], round(at * 1e9) + 10**9, data)
+    return path
+
+
+def imu(roll: float, pitch: float, yaw: float) -> Any:
+    """By the angles of REP 103: pitch nose down, yaw from east, counter-clockwise."""
+    cr, sr, cp, sp = (
+        math.cos(roll / 2),
+        math.sin(roll / 2),
+        math.cos(pitch / 2),
+        math.sin(pitch / 2),
+    )
+    cy, sy = math.cos(yaw / 2), math.sin(yaw / 2)
+    rotation = turned(
+        cr * cp * cy + sr * sp * sy,
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+    )
+    import numpy
+
+    unknown = numpy.zeros(9)
+    return made(
+        "sensor_msgs/msg/Imu",
+        header=header(),
+        orientation=rotation,
+        orientation_covariance=unknown,
+        angular_velocity=vector(0.1, 0.2, 0.3),
+        angular_velocity_covariance=unknown,
+        linear_acceleration=vector(1.0, 2.0, 9.8),
+        linear_acceleration_covariance=unknown,
+    )
+
+
+def degrees(row: tuple[float, ...]) -> list[float]:
+    return [math.degrees(one) for one in row[1:]]
+
+
+def test_the_frames_of_djis_later_node(tmp_path: Path) -> None:
+    """East, north, up and forward, left, up become north, east, up and roll, pitch, heading."""
+    velocity = made("geometry_msgs/msg/Vector3Stamped", header=header(), vector=vector(1, 2, 3))
+    command = made(
+        "mav_msgs/msg/RollPitchYawrateThrust",
+        header=header(),
+        **{"roll": math.radians(45), "pitch": math.radians(10), "yaw_rate": math.radians(-20)},
+        thrust=vector(0.0, 0.0, 42.0),
+    )
+    angles = (math.radians(10), math.radians(20), math.radians(60))
+    path = write(
+        tmp_path / "later.bag",
+        [
+            (0.0, "/uav1/dji_sdk/imu", imu(*angles)),
+            (0.5, "/uav1/dji_sdk/velocity", velocity),
+            (0.6, "/uav1/command/roll_pitch_yawrate_thrust", command),
+        ],
+    )
+    seen = read_recording(path)
+    assert degrees(seen.attitude[0]) == pytest.approx([10, -20, 30])
+    assert seen.rates[0][1:] == (0.1, -0.2, -0.3)
+    assert seen.velocity == [(pytest.approx(0.5), 2.0, 1.0, 3.0)]
+    at, move = seen.moves[0]
+    assert at == pytest.approx(0.6)
+    assert move.mode == ControlMode(Horizontal.TILT, Vertical.THRUST, Yaw.RATE)
+    assert move[1:5] == pytest.approx((45.0, -10.0, 42.0, 20.0))
+    assert move.frame is ReferenceFrame.BODY
+
+
+def test_the_frames_of_the_node_of_2016(tmp_path: Path) -> None:
+    """It publishes what the wire has: north, east, up, and a quaternion of north-east-down."""
+    half = math.radians(15)
+    attitude = made(
+        "dji_sdk/msg/AttitudeQuaternion",
+        header=header(),
+        **{"ts": 0, "q0": math.cos(half), "q1": math.sin(half), "q2": 0.0, "q3": 0.0},
+        **{"wx": 0.5, "wy": 0.25, "wz": -0.5},
+    )
+    velocity = made(
+        "dji_sdk/msg/Velocity",
+        **{"header": header(), "ts": 0, "vx": 1.0, "vy": -2.0, "vz": 3.0, "health_flag": 1},
+    )
+    path = write(
+        tmp_path / "earlier.bag",
+        [(0.0, "/dji_sdk/attitude_quaternion", attitude), (0.1, "/dji_sdk/velocity", velocity)],
+    )
+    seen = read_recording(path)
+    assert degrees(seen.attitude[0]) == pytest.approx([30, 0, 0], abs=1e-4)
+    assert seen.rates[0][1:] == (0.5, 0.25, -0.5)
+    assert seen.velocity[0][1:] == (1.0, -2.0, 3.0)
+
+
+def test_a_file_that_is_no_bag_is_refused(tmp_path: Path, cli: CommandLine) -> None:
+    path = tmp_path / "bad.bag"
+    path.write_bytes(b"#ROSBAG V2.0\n\xff")
+    with pytest.raises(UsageError, match="cannot be read"):
+        read_recording(path)
+    empty = write(tmp_path / "empty.bag", [(0.0, "/dji_sdk/imu", imu(0.0, 0.0, 0.0))])
+    outcome = cli("sim", "compare", str(empty))
+    assert outcome.status == ExitCode.USAGE
+    assert "no flight under movement commands in empty" in outcome.err
+
+
+@pytest.fixture
+def flown(tmp_path: Path) -> Path:
+    """A bag of three seconds in which an aircraft holds 36° to the right although 45 are asked."""
+    messages: list[tuple[float, str, Any]] = []
+    for step in range(150):
+        at = step / 50
+        roll = 36.0 * (1.0 - (1.0 + 10.0 * at) * math.exp(-10.0 * at))
+        speed = made(
+            "geometry_msgs/msg/Vector3Stamped", header=header(), vector=vector(3.0 * at, 0.0, 1.0)
+        )
+        command = made(
+            "mav_msgs/msg/RollPitchYawrateThrust",
+            **{"header": header(), "roll": math.radians(45), "pitch": 0.0, "yaw_rate": 0.0},
+            thrust=vector(0.0, 0.0, 45.0),
+        )
+        messages += [
+            (at, "/dji_sdk/imu", imu(math.radians(roll), 0.0, math.pi / 2)),
+            (at, "/dji_sdk/velocity", speed),
+            (at, "/command", command),
+        ]
+    return write(tmp_path / "flown.bag", messages)
+
+
+def test_a_fit_is_printed_written_and_flown(cli: CommandLine, flown: Path, tmp_path: Path) -> None:
+    file = tmp_path / "mine.toml"
+    words = ("sim", "fit", str(flown), "--airframe", "document", "-o", str(file))
+    outcome = cli(*words)
+    assert outcome.status == ExitCode.OK, outcome.err
+    assert "maximum_tilt_deg" in outcome.out
+    assert read_airframe(str(file)).maximum_tilt_deg == pytest.approx(36.0, abs=0.3)
+    assert read_airframe(str(file)).velocity_gain == 1.6
+    [told] = cli("sim", "compare", str(flown), "--airframe", str(file), "--json").objects
+    assert told["signals"][0]["signal"] == "roll"
+    assert told["signals"][0]["rms"] < 0.5
+    [before] = cli("sim", "compare", str(flown), "--airframe", "document", "--json").objects
+    assert before["signals"][0]["rms"] > 4.0
+    again = cli(*words)
+    assert again.status == ExitCode.USAGE
+    assert "is there already" in again.err
+    assert cli("sim", "fit").status == ExitCode.USAGE
