@@ -71,9 +71,7 @@ class Vehicle:
         self.app = app or MobileApp(is_connected=True, has_internet=True)
         self.server = server or ActivationServer()
         self.serial_number = serial_number or f"041D{random.randrange(16**6):06X}"
-        self.flight = FlightController(
-            self.settings, self.settings.airframe or airframe_for(profile)
-        )
+        self.flight = FlightController(self.settings, airframe_for(profile))
         self.gimbal = GimbalMount(self.flight.dynamics.yaw, follows=self.settings.gimbal_follows)
         self.camera = Camera(self.log)  # what hangs below
         self.activation = ActivationState(

@@ -115,7 +115,7 @@ def test_the_frames_of_djis_later_node(tmp_path: Path) -> None:
     seen = read_recording(path)
     assert degrees(seen.attitude[0]) == pytest.approx([10, -20, 30])
     assert seen.rates[0][1:] == (0.1, -0.2, -0.3)
-    assert seen.velocity == [(pytest.approx(0.5), 2.0, 1.0, 3.0)]
+    assert seen.velocity[0] == pytest.approx((0.5, 2.0, 1.0, 3.0))
     at, move = seen.moves[0]
     assert at == pytest.approx(0.6)
     assert move.mode == ControlMode(Horizontal.TILT, Vertical.THRUST, Yaw.RATE)
