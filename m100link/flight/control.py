@@ -506,4 +506,5 @@ class Control:
                 f"{what} was asked for during {task_name(running)}",
                 remedy="await one task before the next",
             )
-        self._setpoints.silence()  # the aircraft ignores setpoints meanwhile
+        # Not silence: the aircraft may refuse the order, and fly on by what it heard last.
+        self._setpoints.neutralise()

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine
+from contextlib import suppress
 from functools import partial
 from itertools import pairwise
+from math import inf
+from random import Random
 from typing import Any
 
 import pytest
@@ -14,6 +17,7 @@ import pytest
 from m100link import (
     AuthorityState,
     BadSetpoint,
+    CommandNotSupported,
     Control,
     GuardRefused,
     Guards,
@@ -22,10 +26,12 @@ from m100link import (
     MissionRunning,
     NoAuthority,
     Setpoint,
+    TaskRefused,
     Tick,
     UsageError,
 )
 from m100link.flight.guards import GuardKeeper
+from m100link.flight.setpoints import NEUTRAL_TIME
 from m100link.flight.stop_path import StopAction
 from m100link.link.requests import Requests
 from m100link.protocol.commands.control import Move
@@ -496,14 +502,53 @@ async def test_stop_does_not_silence_what_was_sent_after_it(flying: tuple[Rig, C
     assert len(flown.moves) > count + 3
 
 
-async def test_a_task_silences_the_setpoint_before_it(flying: tuple[Rig, Control]) -> None:
+async def test_a_task_ends_the_setpoint_before_it(flying: tuple[Rig, Control]) -> None:
     flown, control = flying
     control.send(NORTH, lifetime=30.0, allow_long_lifetime=True)
     await asyncio.sleep(1.0)
-    count = len(flown.moves)
+    count, start = len(flown.moves), flown.now
     await control.land()
-    assert len(flown.moves) <= count + 1, "the autopilot lands: nobody steers beside it"
+    later = list(flown.moves)[count + 1 :]
+    assert all(map(flown.is_neutral, later)), "the autopilot lands: nobody steers beside it"
+    assert later
+    assert flown.moves.times[-1] - start < NEUTRAL_TIME + 0.05
     assert flown.virtual.height == 0.0
+
+
+IDLE_IN_FLIGHT: dict[str, Callable[[Control], Coroutine[Any, Any, None]]] = {
+    "take off": Control.take_off,
+    "arm": Control.arm,
+    "disarm": Control.disarm,
+}
+
+
+@pytest.mark.parametrize("order", IDLE_IN_FLIGHT)
+@pytest.mark.parametrize("firmware", ["2.3", "3.1"])
+async def test_an_order_that_does_nothing_in_flight_leaves_the_neutral_of_the_setpoint_before_it(
+    order: str, firmware: str
+) -> None:
+    """Silence would leave the aircraft to the newest setpoint until the autopilot drops it."""
+    chance = Random(f"{order} {firmware}")
+    async with rig(firmware=firmware) as flown, flown.aircraft.control() as control:
+        await control.take_off()
+        for _ in range(5):
+            control.send(NORTH, lifetime=1.0)
+            # Also within the period of a frame, which gets no second one.
+            await asyncio.sleep(wait := chance.uniform(0.3, 0.9))
+            asked_at = flown.now
+            with suppress(TaskRefused, CommandNotSupported):  # one that runs already is armed
+                await IDLE_IN_FLIGHT[order](control)
+            await asyncio.sleep(0.1)
+            neutral_at = min(
+                (
+                    at
+                    for at, move in zip(flown.moves.times, flown.moves, strict=True)
+                    if at >= asked_at and flown.is_neutral(move)
+                ),
+                default=inf,
+            )
+            assert neutral_at - asked_at < 0.04, (wait, "s behind the setpoint")
+            assert flown.is_neutral(flown.moves[-1])
 
 
 async def test_stop_with_nothing_to_stop_takes_no_time(flying: tuple[Rig, Control]) -> None:

@@ -314,7 +314,8 @@ async def test_setpoints_stop_while_a_task_flies() -> None:
         await flown.fly(control, 1.0)
         count = len(flown.moves)
         await control.land()
-        assert len(flown.moves) <= count + 1
+        assert all(map(flown.is_neutral, list(flown.moves)[count + 1 :]))
+        assert len(flown.moves) <= count + 20  # the neutral of 0.3 s
 
 
 # -- what counts as done --------------------------------------------------------------------------

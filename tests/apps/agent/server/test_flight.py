@@ -717,3 +717,21 @@ async def test_each_guided_order_is_foreseen_and_flown_by_its_own_loop(
     else:
         assert timeout >= 30.0, "a gust may hold up a flight of a second, too"
         assert frame is None
+
+
+@pytest.mark.parametrize("order", [orders.TakeOff(), orders.StartMotors(), orders.StopMotors()])
+async def test_an_order_that_does_nothing_in_flight_ends_the_setpoint_before_it(
+    rig: Rig, order: orders.Order
+) -> None:
+    await airborne(rig)
+    for wait in (0.3, 0.305, 0.31, 0.315):  # also where the period of a frame gets no second one
+        rig.agent.steer(rig.token, EAST, 1.0)
+        await anyio.sleep(wait)
+        assert east(rig) == 1.0
+        work = rig.agent.background.spawn(rig.agent.ask(order, rig.token), "order")
+        await anyio.sleep(0.04)
+        assert east(rig) == 0.0
+        with anyio.move_on_after(5.0):
+            await asyncio.wait([work])
+        assert work.exception() is not None or isinstance(order, orders.StartMotors)
+        assert east(rig) == 0.0
