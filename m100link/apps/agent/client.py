@@ -539,14 +539,20 @@ class AgentClient:
         self._channel.send(Steer(lease.number, self._clock(), lifetime, setpoint))
 
     def hover(
-        self, why: str = "", lease: Lease | None = None, *, begins_anew: bool = False
+        self,
+        why: str = "",
+        lease: Lease | None = None,
+        *,
+        begins_anew: bool = False,
+        at: float = math.inf,
     ) -> None:
         """Hover; anybody may. Without the lease, its holder has to begin anew.
 
-        ``begins_anew``: the holder let go of everything; what is asked after it flies, STOP or not.
+        ``begins_anew``: the holder let go of everything at that time, s, by default now. What is
+        asked after it flies, unless a STOP came since.
         """
-        fence = lease.number if lease else 0
-        self._channel.send(Ask(0, orders.Halt(why, begins_anew), fence, self._clock()))
+        fence, sent_at = lease.number if lease else 0, min(at, self._clock())
+        self._channel.send(Ask(0, orders.Halt(why, begins_anew), fence, sent_at))
 
     def halt(self, why: str = "", lease: Lease | None = None) -> None:
         """Old name of :meth:`hover`."""

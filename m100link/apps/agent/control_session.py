@@ -582,7 +582,7 @@ class ControlSession:
         """
         is_anew = at >= self._agent.stopped_at
         if (lease := self.lease) is not None:
-            self._agent.hover(why, lease, begins_anew=is_anew)
+            self._agent.hover(why, lease, begins_anew=is_anew, at=at)
             if is_anew:
                 self.feed(_I.BEGUN_ANEW)
         return is_anew

@@ -113,7 +113,8 @@ class OrderService:
                 # Not after a STOP since it was made.
                 is_anew = asked.begins_anew and order.clock >= client.stopped_at
                 why = asked.why or f"{order.by}: hover"
-                client.hover(why, self._lease_if_any(order), begins_anew=is_anew)
+                held = self._lease_if_any(order)
+                client.hover(why, held, begins_anew=is_anew, at=order.clock)
             case orders.Land() if not order.fence:
                 orders.require_newer(asked, order.clock, client.stopped_at)
                 await self.descend(asked, f"landing for {order.by}", signer=order.signer)

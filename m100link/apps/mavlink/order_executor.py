@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from typing import Any
@@ -73,7 +74,7 @@ class OrderExecutor:
         # The order under way; a new one ends it.
         self._work: asyncio.Task[None] | None = None
         # When it was wanted at the earliest, s: a STOP since then overtakes each of its steps.
-        self._asked_at = self._looked_at = agent.now
+        self._asked_at = self._looked_at = self._armed_at = agent.now
         # From before a mission's start leaves until its end is reported, or its stop is heard.
         self._owes_a_stop = False
         # Orders to a mission go out in the order in which they were wanted.
@@ -100,6 +101,7 @@ class OrderExecutor:
             elif isinstance(order, Drop):
                 self._drop()
             elif isinstance(order, ObtainControl):
+                self._armed_at = self._looked_at
                 self._agent.background.spawn(self._carry_out(order), "arming")
             else:
                 self._replace(order)
@@ -160,7 +162,7 @@ class OrderExecutor:
 
     async def _arm(self, order: ObtainControl, _: object) -> None:
         self._session.name = order.name
-        await self._session.obtain()
+        await self._session.obtain(asked_at=self._armed_at)
 
     async def _disarm(self, *_: object) -> None:
         await self._session.give_back()
@@ -222,7 +224,9 @@ class OrderExecutor:
 
     async def _hold(self, order: HoldPosition, lease: Lease | None) -> None:
         await self._make_way(lease, order.is_interrupting)
-        self._session.begin_anew(order.why or "hold")
+        # That of a STOP says to the stations that their flight is over; others are no answer to it.
+        at = math.inf if order.follows_stop else self._asked_at
+        self._session.begin_anew(order.why or "hold", at)
 
     async def _fly(self, order: FlightSequence, lease: Lease | None) -> None:
         await self._make_way(lease)

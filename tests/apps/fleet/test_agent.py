@@ -322,13 +322,15 @@ async def test_an_order_that_was_overtaken_is_not_carried_out(
     assert one.speed > 1.0, "what is asked for now flies"
 
 
-@pytest.mark.parametrize("is_late", [True, False])
+@pytest.mark.parametrize(("is_late", "is_heard"), [(True, True), (True, False), (False, True)])
 async def test_a_client_that_let_go_before_a_stop_does_not_begin_anew_by_that(
-    rig: Rig, is_late: bool
+    rig: Rig, is_late: bool, is_heard: bool
 ) -> None:
     one = await rig.aircraft("a1")
     got = await in_the_air(rig, one)
     let_go = order(orders.Halt(begins_anew=True), got.number, got.token)
+    if not is_heard:  # on board, before the hover is read
+        hears_late(one.channels[1], 1.0)
     await anyio.sleep(0.2)
     await one.agent.stop()
     if not is_late:

@@ -567,3 +567,40 @@ async def test_what_was_to_begin_at_arming_is_forgotten_at_a_stop(rig: Rig) -> N
         await ground.arm()
     await anyio.sleep(6.0)
     assert not rig.motors_on
+
+
+@pytest.mark.parametrize("after", [0.002, 0.03, 0.06, 0.09])
+@pytest.mark.parametrize("late", [0.05, 0.1])
+async def test_a_hold_from_before_a_stop_does_not_undo_it(late: float, after: float) -> None:
+    """A program whose steps are commands of its own hears of the STOP by one refusal."""
+    async with Rig(late=late).running() as rig:
+        ground = rig.ground
+        await ground.fly(5.0)
+        await anyio.sleep(1.0)
+        ground.set_mode_now(Mode.HOLD)
+        await anyio.sleep(after)
+        await rig.agent.stop()
+        await anyio.sleep(1.0)
+
+        def go_up() -> None:
+            args = (-1, 1, 0, math.nan, math.nan, math.nan, rig.ground_altitude + 20.0)
+            ground.command(MavCommand.DO_REPOSITION, *args)
+
+        go_up()
+        await anyio.sleep(3.0)
+        assert rig.height == pytest.approx(5.0, abs=0.5)
+        assert "STOP was pressed" in ground.texts
+        go_up()
+        await rig.until(lambda: rig.height > 10.0)
+
+
+async def test_arming_from_before_a_stop_obtains_nothing(rig: Rig, ground: Ground) -> None:
+    for after in (0.001, 0.002, 0.01):  # the bridge looks at its orders 50 times a second
+        ground.command(MavCommand.COMPONENT_ARM_DISARM, 1)
+        await anyio.sleep(after)
+        await rig.agent.stop()
+        await anyio.sleep(3.0)
+        assert not rig.agent.holding.has_authority, f"STOP came {after} s behind it"
+        assert not rig.client.holder.number
+        assert "arm: STOP was pressed" in ground.texts
+    await ground.arm()

@@ -414,7 +414,7 @@ class FlightModeManager:
         """
         self._remembered = None  # nor at the next arming
         if self.running not in (FlightSource.NOTHING, FlightSource.LAND, FlightSource.GO_HOME):
-            self.hold(f"{self._mode.value}: {why}")
+            self.hold(f"{self._mode.value}: {why}", follows_stop=True)
 
     def _look_idle(self, phase: VehiclePhase, now: float) -> None:
         if phase is VehiclePhase.AIRBORNE or self.running is FlightSource.STREAM:
@@ -452,14 +452,15 @@ class FlightModeManager:
         self._begin(ModeRequest(Mode.HOLD, HoldPosition(is_interrupting=True, why=why)))
         self._tell(Severity.WARNING, why)
 
-    def hold(self, why: str) -> None:
+    def hold(self, why: str, *, follows_stop: bool = False) -> None:
         """The bridge itself wants a hover, and says why."""
+        hold = ModeRequest(Mode.HOLD, HoldPosition(why=why, follows_stop=follows_stop))
         if self.phase is VehiclePhase.ARMED:
             self._settle()
         elif self.running is FlightSource.TAKE_OFF:
-            self._waiting, self._mode = ModeRequest(Mode.HOLD, HoldPosition(why=why)), Mode.HOLD
+            self._waiting, self._mode = hold, Mode.HOLD
         else:
-            self._begin(ModeRequest(Mode.HOLD, HoldPosition(why=why)))
+            self._begin(hold)
         self._tell(Severity.WARNING, why)
 
     @property
@@ -476,7 +477,8 @@ class FlightModeManager:
         if isinstance(error, GuardRefused) and error.guard != "stopped":
             self._tell(Severity.WARNING, f"{self._mode.value}: {error.seen}")
         else:
-            self.hold(f"{self._mode.value}: {error.seen}")
+            is_stop = isinstance(error, GuardRefused)
+            self.hold(f"{self._mode.value}: {error.seen}", follows_stop=is_stop)
 
     def operator_lost(self) -> None:
         """The peer that flew is silent: hover, unless the aircraft is landing."""

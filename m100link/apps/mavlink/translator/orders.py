@@ -73,6 +73,7 @@ class ReturnToLaunch(VehicleOrder):
 class HoldPosition(VehicleOrder):
     is_interrupting: bool = False  # as in LandInPlace
     why: str = ""
+    follows_stop: bool = False  # of somebody else: the next mode request flies
 
 
 @dataclass(frozen=True, slots=True)
