@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, replace
@@ -252,7 +253,9 @@ class ClientSession:
         self._name = ""  # empty until it has said hello
         # Tokens of the leases that were granted over this channel, by number.
         self._tokens: dict[int, str] = {}
-        self._asks = 0
+        # Questions under way, by lease, 0 without one: several operators may be behind a front, and
+        # those without the lease cost its holder nothing, nor the holder them.
+        self._asks: Counter[int] = Counter()
         # Of these, those that were heard in this turn of the loop and begin in the next one.
         self._unbegun = 0
         self._notes = TokenBucket(_NOTES_PER_S, _MAX_NOTES)
@@ -345,7 +348,7 @@ class ClientSession:
             self._agent.journal.note(_line(note.text), note.level)
 
     def _on_ask(self, ask: Ask) -> None:
-        order = ask.order
+        order, lease = ask.order, ask.fence if ask.fence in self._tokens else 0
         if order.is_at_once:
             with self._answering(ask):
                 answer = self._begin(ask)
@@ -355,14 +358,14 @@ class ClientSession:
                         self._agent.background.spawn(self._hover(ask), f"hover for {self._name}")
                     self._report_hover(order.why)
                 self._answer(ask, Stage.DONE, answer=answer)
-        elif self._asks >= _MAX_ASKS and order.right is not Right.STOP:  # that waits for nobody
-            too_many = UsageError(f"{self._asks} questions of this front wait already")
+        elif self._asks[lease] >= _MAX_ASKS and order.right is not Right.STOP:  # waits for nobody
+            too_many = UsageError(f"{self._asks[lease]} questions of this front wait already")
             self._answer(ask, Stage.FAILED, too_many)
         else:
-            self._asks += 1
+            self._asks[lease] += 1
             self._unbegun += 1
             name = f"{order.label} for {self._name}"
-            self._agent.background.spawn(self._carry_out(ask), name)
+            self._agent.background.spawn(self._carry_out(ask, lease), name)
 
     async def _hover(self, ask: Ask) -> None:
         self._begin(ask)
@@ -395,13 +398,15 @@ class ClientSession:
         if ask.id:
             self.tell(outcome)
 
-    async def _carry_out(self, ask: Ask) -> None:
+    async def _carry_out(self, ask: Ask, lease: int) -> None:
         self._unbegun -= 1
         try:
             with self._answering(ask):
                 self._answer(ask, Stage.DONE, answer=await self._begin(ask))
         finally:
-            self._asks -= 1
+            self._asks[lease] -= 1
+            if not self._asks[lease]:
+                del self._asks[lease]
 
     @contextmanager
     def _answering(self, ask: Ask) -> Iterator[None]:

@@ -343,6 +343,26 @@ async def test_notes_and_questions_are_bounded(rig: Rig, service: AgentServer) -
         assert len(later) == {5: 5, 20: 25}[more]
 
 
+async def test_questions_without_the_lease_cost_its_holder_behind_the_same_front_nothing(
+    rig: Rig, service: AgentServer
+) -> None:
+    front = Front(rig, service)
+    fence = await front.airborne()
+    for number in range(100, 300):  # somebody else's, who has no lease
+        front.send(Ask(number, orders.AskVersion(), fence + 1))
+    front.send(Ask(3, orders.ChangeHeading(90.0), fence, hears_begin=True))
+    await front.outcome(3, Stage.ACCEPTED)
+    for number in range(300, 500):  # nor do those of the holder cost others anything
+        front.send(Ask(number, orders.SetHotpointRate(5.0), fence))
+    front.send(Ask(4, orders.AskVersion()))
+    await front.outcome(4)
+    refused = [
+        one for one in front.all(OrderOutcome) if one.fault and "wait already" in one.fault.seen
+    ]
+    assert len([one for one in refused if one.id < 300]) == 200 - 64
+    assert {one.id for one in refused}.isdisjoint({3, 4})
+
+
 @pytest.mark.parametrize("fails", [False, True])
 async def test_an_order_that_is_done_at_once_needs_its_lease_and_is_answered(
     rig: Rig, service: AgentServer, monkeypatch: pytest.MonkeyPatch, *, fails: bool
