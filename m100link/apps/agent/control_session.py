@@ -62,7 +62,7 @@ class Terms:
     #: Whether control authority brings an activation with it, where the aircraft is not active.
     activates: bool = True
     #: Whether the lease goes back when somebody takes authority. Otherwise it is kept, and the
-    #: aircraft obeys again when the pilot comes back to F: setpoints after a pause of a second.
+    #: aircraft obeys again when the pilot comes back to F, after a pause of a second.
     gives_way: bool = False
     #: Whether an order of the operator, who sees that STOP was pressed, begins anew after it.
     begins_anew: bool = False

@@ -49,7 +49,7 @@ _LONGEST_STEP = 0.3
 
 _LOST_MEANWHILE, _STOPPED = "control was lost meanwhile", "STOP was pressed"
 _LEAVES_S = 0.05  # in which the stop of a mission has left, before anybody hears of a STOP
-_PAUSE_S = 1.0  # without a setpoint; the next one is meant anew, though not after STOP
+_PAUSE_S = 1.0  # without a setpoint or order; the next is meant anew, though not after STOP
 
 _LOST = (LeaseChange.EXPIRED, LeaseChange.FRONT_LOST)
 """How a lease ends when nobody wanted it to."""
@@ -109,9 +109,9 @@ class Agent:
         self._keep_authority = keep_authority
         # Ends a time in which authority is held for nobody.
         self._unclaimed: asyncio.TimerHandle | None = None
-        # Why no stream of setpoints flies on, and no order that moves, but for a loss: their sender
-        # has to begin anew. Empty: it may.
-        self._begin_anew, self._steered_at = "", 0.0
+        # Why no stream of setpoints flies on, and no order that moves: their sender has to begin
+        # anew. Empty: it may. And when it last wanted any of them.
+        self._begin_anew, self._wanted_at = "", -math.inf
         self._stopped_at = -math.inf  # when STOP came last, s
         self.holding.on_lost.append(self._authority_lost)
         #: Called after each change with the reason, the lease in force, or None, and what was
@@ -252,8 +252,10 @@ class Agent:
                 self.leases.check(token, self.now)
         elif order.needs is not Needs.NOTHING:
             self.leases.renew(token, self.now)
-        if order.after_stop is AfterStop.ANEW and self._begin_anew != _LOST_MEANWHILE:
-            self._require_anew(f"{order.label} that is asked for next is not begun")
+        if order.after_stop is AfterStop.ANEW:
+            self._wanted()
+            if self._begin_anew != _LOST_MEANWHILE or self.holding.has_authority:
+                self._require_anew(f"{order.label} that is asked for next is not begun")
         if at < self._stopped_at and isinstance(order, orders.Halt):
             token = ""  # it begins nothing anew
         return HANDLERS[type(order)](OrderContext(self, token, accepted), order)
@@ -297,20 +299,23 @@ class Agent:
             GuardRefused: Nothing began anew since STOP or a loss of control; or see below.
             NoAuthority, GuardRefused, UsageError: See :meth:`m100link.Control.send`.
         """
-        now = self.now
-        self.leases.renew(token, now)
-        # After a loss, a pause of a second is a new wish: a stream that goes on is not, because it
-        # would fly on over the hands of a pilot who is back in F.
-        since, self._steered_at = now - self._steered_at, now
-        is_new = since > _PAUSE_S and self.holding.has_authority
-        if is_new and self._begin_anew == _LOST_MEANWHILE:
-            self._begin_anew = ""
+        self.leases.renew(token, self.now)
+        self._wanted()
         self._require_anew("setpoints that go on are not flown")
         flying, is_held = self.holding.flying, self.holding.state is HoldingState.HELD
         if self.connection.aircraft is None or not (flying and is_held and flying.has_authority):
             self.connection.require_aircraft()  # which says why, if the line is lost
             flying = self.holding.require()
         flying.steer(setpoint, lifetime)
+
+    def _wanted(self) -> None:
+        """The holder wants to move it: after a loss, a pause of a second makes that a new wish."""
+        # A stream, or an order that a program repeats until it is begun, is none: it would fly on
+        # over the hands of a pilot who is back in F.
+        since, self._wanted_at = self.now - self._wanted_at, self.now
+        is_new = since > _PAUSE_S and self.holding.has_authority
+        if is_new and self._begin_anew == _LOST_MEANWHILE:
+            self._begin_anew = ""
 
     def _require_anew(self, what: str) -> None:
         if self._begin_anew:

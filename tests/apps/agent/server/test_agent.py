@@ -300,6 +300,37 @@ async def test_a_stream_does_not_go_on_after_the_pilot_gave_the_aircraft_back(
     rig.agent.steer(rig.token, NORTH)
 
 
+@pytest.mark.parametrize("how", ["pauses", "lets go", "asks for control"])
+@pytest.mark.parametrize(
+    "order", [orders.ChangeHeight(10.0), orders.GoHome(), orders.FlyPattern(1)]
+)
+async def test_an_order_that_is_repeated_until_it_is_begun_is_not_when_the_pilot_comes_back(
+    rig: Rig, order: orders.Order, how: str
+) -> None:
+    """A program that tries again flies on over the hands of a pilot who is back in F."""
+    await airborne(rig)
+    rig.agent.steer(rig.token, NORTH)
+    rig.aircraft.leave_f()
+    await rig.until(lambda: not rig.holding.has_authority)
+    for step in range(20):
+        if step == 10:
+            rig.aircraft.return_to_f()
+        with pytest.raises((NoAuthority, GuardRefused)) as raised:
+            await rig.agent.ask(order, rig.token)
+        await anyio.sleep(0.4)
+    assert raised.value.seen.startswith("control was lost meanwhile")
+    assert rig.holding.has_authority
+    assert rig.aircraft.vehicle.flight.dynamics.speed < 0.1
+    if how == "pauses":
+        await anyio.sleep(1.1)
+    elif how == "lets go":
+        rig.agent.hover("let go", rig.token)
+    else:
+        await rig.agent.ask(orders.Obtain(), rig.token)
+    with anyio.move_on_after(3.0):
+        await rig.agent.ask(order, rig.token)
+
+
 async def test_a_stop_is_not_undone_by_control_that_was_asked_for_before_it(rig: Rig) -> None:
     await airborne(rig)
     await rig.agent.stop()
