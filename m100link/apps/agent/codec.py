@@ -54,10 +54,13 @@ MAX_ENTRIES = 32
 MAX_PIECES = 99
 """Most pieces of a list, which are the waypoints of the longest plan."""
 
+# A double holds every integer up to here: other readers of JSON round those above.
+_GREATEST = (1 << 53) - 1
+_FARTHEST = 1e300
+
 _PLAIN: dict[type[Any], tuple[float, float, str]] = {
-    # A double holds every integer up to here: other readers of JSON round those above.
-    int: (-(1 << 53), (1 << 53) - 1, "an integer below 2⁵³"),
-    float: (-1e300, 1e300, "a finite number"),
+    int: (-_GREATEST - 1, _GREATEST, "an integer below 2⁵³"),
+    float: (-_FARTHEST, _FARTHEST, "a finite number"),
     bool: (False, True, "true or false"),
     str: (0, MAX_TEXT, f"a text of at most {MAX_TEXT} characters"),
 }
@@ -289,8 +292,9 @@ def _pack_steer(message: Steer) -> bytes:
 
 def _unpack_steer(data: bytes) -> Steer:
     _, fence, sent_at, lifetime, flag, x, y, z, yaw = _STEER.unpack(data)
-    if not (math.isfinite(sent_at) and math.isfinite(lifetime)):
-        raise InvalidValue("not a finite number")
+    # The bounds of JSON: the answer that it is not flown says the number again.
+    if fence > _GREATEST or not (abs(sent_at) <= _FARTHEST and abs(lifetime) <= _FARTHEST):
+        raise InvalidValue("a number that is not finite, or out of range")
     if flag not in _MODES:
         raise InvalidValue(f"control flag 0x{flag:02X} names no control mode")
     mode, frame, stable = _MODES[flag]

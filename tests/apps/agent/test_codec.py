@@ -223,7 +223,9 @@ def test_a_packed_package_is_not_too_long() -> None:
 @pytest.mark.parametrize(
     ("place", "value"),
     [
+        (1, struct.pack("<Q", 1 << 53)),  # a fence that the answer, which is JSON, cannot say
         (1 + 8, struct.pack("<d", math.nan)),  # sent_at
+        (1 + 8, struct.pack("<d", -1.1e300)),
         (1 + 16, struct.pack("<d", math.inf)),  # lifetime
         (1 + 24, b"\xf8"),  # a flag without a mode
         (1 + 25, struct.pack("<d", 11.0)),  # faster than the mode goes
