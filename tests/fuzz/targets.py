@@ -36,6 +36,7 @@ from m100link.protocol.firmware import PROFILES
 from m100link.protocol.packet import TelemetryPacket
 from m100link.sim.orders import Scenario
 from m100link.sim.ports.driver import aircraft_of, speed_of
+from m100link.sim.vehicle.dynamics import read_airframe
 from m100link.wire import Cipher, FrameDecoder
 from m100link.wire.crc import header_crc16
 from tests.apps.fleet.show.shows import FIVE
@@ -380,6 +381,12 @@ TARGETS: dict[str, Target] = {
         lambda: [_CONFIGURATION.encode()],
         (UsageError, BadURL),
         (b"[aircraft.", b"url ="),
+    ),
+    "airframe": Target(
+        files.of_file(lambda path: read_airframe(str(path))),
+        lambda: [b'base = "measured-3.1.10"\ntilt_frequency = 11.5\nhover_thrust = 38\n'],
+        (UsageError,),
+        (b"base =", b"command_delay = "),
     ),
     "plan": Target(_read_plan, _plans, (BadPlan,), (b'"command":', b"SimpleItem"), share=10),
     "URL": Target(

@@ -548,8 +548,8 @@ class AgentClient:
     ) -> None:
         """Hover; anybody may. Without the lease, its holder has to begin anew.
 
-        ``begins_anew``: the holder let go of everything at that time, s, by default now. What is
-        asked after it flies, unless a STOP came since.
+        ``begins_anew``: the holder let go of everything at that time, s, by default now. Orders
+        after it fly, unless a STOP came since.
         """
         fence, sent_at = lease.number if lease else 0, min(at, self._clock())
         self._channel.send(Ask(0, orders.Halt(why, begins_anew), fence, sent_at))

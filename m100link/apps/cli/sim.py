@@ -193,8 +193,7 @@ def run(
 
     Args:
         seed: Seed of everything random; by default a new one, which the command prints.
-        airframe: How it flies: document, measured-3.1.10, or a file of `m100link sim fit`; by
-            default that of the firmware.
+        airframe: How it flies: document, measured-3.1.10, or a file of `m100link sim fit`.
         cold: Start as after power-on: API control not enabled, switch in P, no app, no GPS.
         speed: Speed of its clock, times real time.
         scenario: TOML file of timed events.

@@ -246,7 +246,10 @@ Recorded = Annotated[
 ]
 Start = Annotated[
     str,
-    Parameter(name="--airframe", help="Name of an airframe, or a file that `sim fit` wrote."),
+    Parameter(
+        name="--airframe",
+        help="How it flies: document, measured-3.1.10, or a file of `m100link sim fit`.",
+    ),
 ]
 Plot = Annotated[Path | None, Parameter(help="Draw both flights into a new PNG file.")]
 

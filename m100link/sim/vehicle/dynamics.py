@@ -19,13 +19,12 @@ from __future__ import annotations
 
 import cmath
 import math
-import tomllib
 from dataclasses import KW_ONLY, dataclass, replace
 from enum import IntEnum
 from math import atan, cos, exp, pi, sin, sqrt, tan
-from pathlib import Path
 
 from m100link.errors import UsageError
+from m100link.errors.texts import read_path, read_toml
 from m100link.protocol.firmware import FirmwareProfile, Generation
 from m100link.protocol.records import quaternion
 
@@ -161,8 +160,8 @@ def read_airframe(name: str) -> Airframe:
     if name in AIRFRAMES:
         return AIRFRAMES[name]
     try:
-        content = tomllib.loads(Path(name).read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:  # UnicodeDecodeError and TOMLDecodeError are of the kind
+        content = read_toml(read_path(name).read_bytes())
+    except (OSError, ValueError) as error:
         raise UsageError(
             f"no airframe {name}: {error}", remedy=f"name {' or '.join(AIRFRAMES)}, or a TOML file"
         ) from error
