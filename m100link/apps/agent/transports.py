@@ -262,9 +262,10 @@ class UnixChannel(asyncio.BufferedProtocol):
         if waiting > DROP_ABOVE and isinstance(message, Telemetry):
             self.dropped += 1
         elif waiting > CLOSE_ABOVE:
-            self._reason = "the other end does not read"
+            # Its end is heard in a turn of its own. Heard here, within a message that goes to all
+            # ends, that of its lease would reach some of them before this message.
+            self._reason, self._transport = "the other end does not read", None
             transport.abort()
-            self._end()
         else:
             body = encode(message)
             transport.write(_LENGTH.pack(len(body)) + body)
