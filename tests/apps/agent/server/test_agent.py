@@ -20,7 +20,7 @@ import pytest
 from m100link.aircraft import Aircraft
 from m100link.apps.agent import orders
 from m100link.apps.agent.background import ignore
-from m100link.apps.agent.lease import Flown, LeaseChange, LeaseRefused
+from m100link.apps.agent.lease import Flown, LeaseChange, LeaseRefused, TakeOver
 from m100link.apps.agent.orders import ORDERS, ChangeHeight
 from m100link.apps.agent.server.authority import HoldingState
 from m100link.apps.agent.server.connection import ConnectionState
@@ -355,6 +355,21 @@ async def test_no_setpoint_flies_while_authority_goes_back(rig: Rig) -> None:
         assert rig.holding.state is HoldingState.RELEASING
         with pytest.raises(NoAuthority):
             rig.agent.steer(rig.token, NORTH)
+
+
+async def test_a_take_over_whose_first_step_came_before_a_stop_is_not_confirmed(rig: Rig) -> None:
+    """Its client may have decided by what flew before the STOP, and would begin anew by it."""
+    await airborne(rig)
+    offer = await rig.agent.ask(orders.AskTakeOver("other"))
+    assert isinstance(offer, TakeOver)
+    await anyio.sleep(0.5)
+    await rig.agent.stop()
+    with pytest.raises(LeaseRefused):
+        await rig.agent.ask(orders.ConfirmTakeOver(offer.token))
+    assert rig.agent.leases.check(rig.token, rig.agent.now).name == "client"
+    offer = await rig.agent.ask(orders.AskTakeOver("other"))
+    assert isinstance(offer, TakeOver)
+    await rig.agent.ask(orders.ConfirmTakeOver(offer.token))
 
 
 async def test_a_client_that_takes_over_after_a_stop_begins_anew(rig: Rig) -> None:
