@@ -51,7 +51,7 @@ class ClientLimits:
     burst: float = 400.0  # frames at once
     subscriptions: int = 100  # subscriptions in force
     advertisements: int = 100
-    calls: int = 16  # service calls without an answer yet
+    calls: int = 16  # service calls without an answer yet; and as many that stop a flight
     # Messages that wait for a slow client; beyond it the oldest of the busiest topic are dropped.
     waiting: int = 500
     answers: int = 500  # answers and statuses that wait; beyond it the client is disconnected
@@ -100,7 +100,7 @@ class Client:
         self._advertised: dict[str, set[str]] = {}
         self._reassembly = Reassembly(self.limits.message_size)
         self._level = _LEVELS.index("error")
-        self._calls = 0
+        self._calls = {False: 0, True: 0}  # without an answer, by whether they stop a flight
         self._frames = TokenBucket(self.limits.rate, self.limits.burst)
         self._bytes = TokenBucket(self.limits.bytes_rate, 4 * self.limits.message_size)
         self._work = TokenBucket(self.limits.work_rate, self.limits.work_burst)
@@ -280,8 +280,8 @@ class Client:
         try:
             if service is None:
                 raise _Fault(f"there is no service {name[:128]!r}; /rosapi/services lists them")
-            if self._calls >= self.limits.calls:
-                raise _Fault(f"{self._calls} calls wait for their answers already")
+            if (waiting := self._calls[service.stops]) >= self.limits.calls:
+                raise _Fault(f"{waiting} calls wait for their answers already")
             packing = self._packing(message)
             request = service.type.read_request(message.get("args"))
         except (_Fault, BadMessage) as fault:
@@ -289,7 +289,7 @@ class Client:
             self._count_fault(now)
             self._respond(name, identity, packing, json.dumps(str(fault)), False)
             return
-        self._calls += 1
+        self._calls[service.stops] += 1
         call = ServiceCall(self, service, request, (name, identity, packing), now)
         service.on_call(call)
 
@@ -336,7 +336,7 @@ class Client:
 
     def respond(self, call: ServiceCall, values: str, result: bool) -> None:
         """Answer a service call; ``values`` is JSON."""
-        self._calls -= 1
+        self._calls[call.service.stops] -= 1
         name, identity, packing = call.identity
         self._respond(name, identity, packing, values, result)
 

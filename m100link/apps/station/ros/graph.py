@@ -125,6 +125,7 @@ class RosService:
     name: str  # its name, with a leading slash
     type: ServiceType
     on_call: Callable[[ServiceCall], None]  # answers a call, at once or later
+    stops: bool = False  # whether it ends a flight: it waits behind no other calls
 
 
 class Graph:
@@ -166,11 +167,16 @@ class Graph:
         return topic
 
     def add_service(
-        self, name: str, type_name: str, on_call: Callable[[ServiceCall], None]
+        self,
+        name: str,
+        type_name: str,
+        on_call: Callable[[ServiceCall], None],
+        *,
+        stops: bool = False,
     ) -> None:
         """A service that the station offers."""
         name = self.prefix + name
-        self.services[name] = RosService(name, SERVICES[type_name], on_call)
+        self.services[name] = RosService(name, SERVICES[type_name], on_call, stops)
 
     def publish(self, topic: RosTopic, message: Message, now: float) -> None:
         if topic.subscribers:

@@ -38,7 +38,7 @@ class Clients:
         self._terms = Terms(activates=False, remedy=remedy)
         graph.on_leave.append(self._left)
         graph.add_service("/m100link/lease", "m100link/Lease", self._on_lease)
-        graph.add_service("/m100link/stop", "std_srvs/Trigger", self._on_stop)
+        graph.add_service("/m100link/stop", "std_srvs/Trigger", self._on_stop, stops=True)
 
     def session(self, client: GraphListener) -> ControlSession:
         """The control session of that client; a closed one when the client has gone."""

@@ -279,6 +279,23 @@ def test_calls_without_an_answer_are_limited() -> None:
     assert bench.send("call_service", service="/task") == []
 
 
+def test_a_call_that_stops_a_flight_waits_behind_no_others_and_is_limited_by_itself() -> None:
+    bench = Bench(ClientLimits(calls=2))
+    stops: list[ServiceCall] = []
+    bench.graph.add_service("/stop", "std_srvs/Trigger", stops.append, stops=True)
+    for _ in range(2):
+        assert bench.send("call_service", service="/task") == []
+    for _ in range(2):
+        assert bench.send("call_service", service="/stop") == []
+    (answer,) = bench.send("call_service", service="/stop")
+    assert "2 calls wait" in answer["values"]
+    stops[0].respond({})
+    bench.output()
+    assert bench.send("call_service", service="/stop") == []
+    (answer,) = bench.send("call_service", service="/task")
+    assert "2 calls wait" in answer["values"]
+
+
 def test_the_level_decides_which_statuses_are_sent() -> None:
     bench = Bench()
     bench.client.status("warning", "w")

@@ -163,3 +163,16 @@ async def test_in_whatever_order_a_crowd_that_has_left_holds_nothing(rig: Rig, s
         again = await rig.open("again")
         again.leave()
         await anyio.sleep(1.0)
+
+
+async def test_stop_waits_behind_no_other_calls_of_its_client(rig: Rig) -> None:
+    rig.graph.add_service("/never", "std_srvs/Trigger", lambda call: None)
+    client = await rig.airborne("page")
+    for _ in range(20):
+        client.call("/never")
+    client.publish("/sdk_request_simple_task", data=1)
+    await rig.until(lambda: rig.agent.holding.pattern is not None)
+    client.call("/m100link/stop")
+    await anyio.sleep(0.5)
+    assert rig.agent.holding.pattern is None
+    assert client.answers()[-1] == {"success": True, "message": ""}
