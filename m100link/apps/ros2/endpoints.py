@@ -90,6 +90,7 @@ class _Service:
     requests: Inbox[Question]  # what was asked
     call: Call
     at_once: int  # how many requests are carried out at once
+    stops: bool  # whether it ends a flight: however old a request is
     calls: int = 0  # how many are
 
 
@@ -130,11 +131,13 @@ class Endpoints:
         self._show(EntityKind.SUBSCRIBER, topic, kind, Qos())
         return made
 
-    def serve(self, topic: str, kind: str, call: Call, *, at_once: int = _AT_ONCE) -> None:
+    def serve(
+        self, topic: str, kind: str, call: Call, *, at_once: int = _AT_ONCE, stops: bool = False
+    ) -> None:
         """Offer a service; requests beyond so many at once are not answered."""
         key = data_key(self._name.domain, topic, kind)
         requests = self._bus.questions(key, _DEPTH)
-        self._services.append(_Service(topic, kind, key, requests, call, at_once))
+        self._services.append(_Service(topic, kind, key, requests, call, at_once, stops))
         self._show(EntityKind.SERVER, topic, kind, Qos())
 
     @property
@@ -147,7 +150,7 @@ class Endpoints:
             topic.look()
 
     def take_requests(self, *, is_deaf: bool) -> None:
-        """Begin to answer what was asked since; to the deaf what comes now is old."""
+        """Begin to answer what was asked since; to the deaf what comes now is old, but for STOP."""
         for service in self._services:
             for request in service.requests.take():
                 self._take(service, request, is_deaf)
@@ -158,7 +161,7 @@ class Endpoints:
                 raise ValueError("a wildcard would take off, land and disarm at once")
             attachment = read_attachment(request.attachment)
             message = decode(f"{service.kind}_Request", request.payload)
-            if is_deaf or service.calls >= service.at_once:
+            if (is_deaf and not service.stops) or service.calls >= service.at_once:
                 raise ValueError("too late, or too many")
         except ValueError:
             self.refused += 1

@@ -101,7 +101,8 @@ class Node:
         self._inputs = [(name, inputs[name], make) for name, make in takes.items()]
         self._payload = GimbalServices(agent, self.control, inputs["~/gimbal_speed"], self._tell)
         for name, call in (self._calls() | MissionServices(self.control).calls()).items():
-            self.ends.serve(names.full(name), SERVICES[name].kind, call)
+            kind, stops = SERVICES[name].kind, name == "~/stop"
+            self.ends.serve(names.full(name), kind, call, stops=stops)
         self.actions = Actions(
             agent,
             self.control,

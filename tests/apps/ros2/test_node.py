@@ -300,6 +300,17 @@ async def test_what_came_while_it_stood_still_is_not_done(rig: Rig, program: Pro
     assert rig.height > 1.0
 
 
+async def test_a_stop_that_came_while_it_stood_still_is_done(rig: Rig, program: Program) -> None:
+    """What ends a flight is done whenever it comes: the aircraft flew on by itself meanwhile."""
+    await program.up()
+    assert (await program.call("~/land"))["success"]
+    await rig.until(lambda: rig.client.state.task == "land")
+    rig.node._ran_at -= 2.0  # as after SIGSTOP and SIGCONT
+    assert (await program.call("~/stop"))["success"]
+    await rig.until(lambda: not rig.agent.holding.has_authority)
+    assert rig.agent.holding.task is None
+
+
 async def test_without_telemetry_it_answers_all_the_same(rig: Rig, program: Program) -> None:
     rig.aircraft.stall_line()
     await anyio.sleep(0.5)
