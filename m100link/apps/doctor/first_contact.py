@@ -205,7 +205,8 @@ async def first_contact(
     try:
         await meeting.hold(credentials)
     except LinkError as error:
-        meeting.contact.ended_by = error.seen
+        # Its text names the port or the address, which belongs into no report.
+        meeting.contact.ended_by = f"the line went away ({type(error).__name__})"
     finally:
         await aircraft.aclose()
     return meeting.contact
@@ -226,6 +227,7 @@ class _Meeting:
         self._ask, self._tell, self._say = ask, tell, say
         self._clock = aircraft.link.clock
         self._reader = aircraft._telemetry.acceleration
+        self._is_asking = False  # a request for authority has no answer yet
         self.contact = Contact()
 
     def _see(self, topic: Topic, found: str, seen: str) -> None:
@@ -361,7 +363,7 @@ class _Meeting:
         if not did:
             self._see(topic, "", "nobody lifted it")
         elif not path or not all(math.isfinite(sum(one)) for one in path):
-            self._see(topic, "", "velocity and position do not arrive")
+            self._see(topic, "", "velocity and position did not arrive meanwhile")
         else:
             rise, sum_of = _steepest(path)
             figures = f"the barometer rose by {rise:.2f} m, velocity adds up to {sum_of:+.2f} m"
@@ -463,11 +465,12 @@ class _Meeting:
                 if mode is RcMode.F:
                     await self._again()
         finally:
-            # Also after no answer, or one that it is in progress: it may have it by now.
+            # Also after no answer, or one that it is in progress: it may have it by now. A refusal
+            # says nothing of a later request that was not answered.
             refusals = [AuthorityCode.NOT_IN_F, AuthorityCode.IOC_ON]
             if not self._asks_twice:
                 refusals.append(AuthorityCode.NOT_CHANGED)
-            if not codes or codes[-1] not in refusals:
+            if self._is_asking or not codes or codes[-1] not in refusals:
                 await self._give_back(is_held=AuthorityCode.OBTAINED in codes)
         answers = ", ".join(map(str, codes)) or "none"
         if error:
@@ -519,6 +522,7 @@ class _Meeting:
         for attempt in range(most):
             if attempt:
                 await asyncio.sleep(_PAUSE_S)
+            self._is_asking = True
             try:
                 code = await self._aircraft.execute(
                     RequestAuthority(obtain=is_wanted),
@@ -530,6 +534,7 @@ class _Meeting:
                 raise
             except M100Error as error:
                 return error.seen
+            self._is_asking = False
             codes.append(int(code))
             if code == goal or code not in going:
                 break

@@ -398,7 +398,8 @@ async def test_a_line_that_goes_ends_it_with_what_was_seen() -> None:
         return await there.asked(text)
 
     contact, _ = await met(there, ask)
-    assert contact.ended_by
+    # Without the name of the line, which is a port or an address.
+    assert contact.ended_by == "the line went away (LinkLost)"
     assert contact.found["acceleration"] == "raw"
 
 
@@ -418,6 +419,31 @@ async def test_an_answer_that_is_lost_is_no_refusal() -> None:
     assert not found.is_seen
     assert not contact.is_given_back
     assert said[-1] == "the aircraft may still have it with this program: put the switch to P"
+
+
+async def test_a_refusal_says_nothing_of_a_later_request_without_an_answer() -> None:
+    class Mute(Hidden):
+        """Firmware 1.0: says "not changed", obeys the second request, and is not heard any more."""
+
+        def _authority(self, *, is_wanted: bool) -> int:
+            code = super()._authority(is_wanted=is_wanted)
+            if is_wanted and code == 3:
+                self.hidden |= {"obtains_in": "F"}
+            elif is_wanted:
+                self.hidden["answers"] = False
+            return code
+
+    there = Mute("1.0", obtains_in="")
+
+    async def ask(text: str) -> bool:
+        if "mode switch to F. Is it" in text:
+            there.hidden["obtains_in"] = ""
+        return await there.asked(text)
+
+    contact, _ = await met(there, ask)
+    assert there.obtained == 1
+    assert there.device == RC
+    assert not contact.is_given_back
 
 
 def test_the_manual_says_on_how_many_aircraft_each_assumption_was_seen() -> None:
