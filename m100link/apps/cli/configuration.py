@@ -7,6 +7,7 @@ weakest sources of :func:`m100link.apps.station.config.resolve`, which converts 
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import os
@@ -143,7 +144,7 @@ def read_configuration(path: Path | None = None) -> Configuration:
     named = _table(path, "aircraft", tables.get("aircraft", {}), None)
     aircraft = {}
     for name, table in named.items():
-        _check_name(path, name)
+        check_name(path, name)
         aircraft[name] = _table(path, f"aircraft.{name}", table, _OF_ONE)
         if not isinstance(aircraft[name].get("url"), str):
             raise UsageError(
@@ -175,23 +176,32 @@ def remember(
     """Write settings of an aircraft into the user's file; everything else in it stays as it is.
 
     ``name``: the aircraft, which the file may not have yet. ``found``: settings by their keys. A
-    reader sees the file before the change or after it, whole.
+    reader sees the file before the change or after it, whole. The file is read anew, for a person
+    may have changed it since. Findings that are not among these stay, too.
     Raises UsageError: the name cannot be one, or the file cannot be changed so; it stays.
     """
     path = configuration.path
-    _check_name(path, name)
+    check_name(path, name)
     added = [f"{key} = {_written(value)}" for key, value in found.items()]
     try:
-        text = path.read_text("utf-8") if configuration.exists else ""
+        text, mode = "", 0o600
+        with contextlib.suppress(FileNotFoundError):
+            text, mode = path.read_bytes().decode(), stat.S_IMODE(path.stat().st_mode)
+            if not mode & stat.S_IWUSR:
+                raise PermissionError("it may be read only")
         wanted = read_toml(text)
-        wanted.setdefault("aircraft", {}).setdefault(name, {"url": url}).update(found)
+        table = wanted.setdefault("aircraft", {}).setdefault(name, {"url": url})
+        seen = found.get(_SEEN)
+        if isinstance(seen, Mapping):
+            found = {**found, _SEEN: {**table.get(_SEEN, {}), **seen}}
+            added = [f"{key} = {_written(value)}" for key, value in found.items()]
+        table.update(found)
         new = _with_lines(text, name, url, set(found), added)
         if read_toml(new) != wanted:
             raise ValueError("it is laid out in another way than m100link can change")
         path.parent.mkdir(parents=True, exist_ok=True)
-        mode = stat.S_IMODE(path.stat().st_mode) if configuration.exists else 0o600
         replace_file(path.resolve(), new.encode(), mode=mode)
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, TypeError, AttributeError) as error:
         raise UsageError(
             f"{shown(path)} was not changed: {error}",
             remedy=f"write this into its table [aircraft.{name}]: {'; '.join(added)}",
@@ -200,7 +210,8 @@ def remember(
 
 def _with_lines(text: str, name: str, url: str, keys: set[str], added: list[str]) -> str:
     """The text with these lines in the table of an aircraft, in the place of those keys."""
-    lines = text.splitlines()
+    end_of_line = "\r\n" if "\r\n" in text else "\n"
+    lines = text.removesuffix(end_of_line).split(end_of_line) if text else []
     heads = [place for place, line in enumerate(lines) if line.startswith("[")]
     is_head = re.compile(rf"\[\s*aircraft\s*\.\s*\"?{name}\"?\s*\]\s*(#.*)?").fullmatch
     at = next((place for place in heads if is_head(lines[place])), None)
@@ -213,7 +224,7 @@ def _with_lines(text: str, name: str, url: str, keys: set[str], added: list[str]
         blank = next((n for n, line in enumerate(reversed(kept)) if line.strip()), 0)
         place = len(kept) - blank
         lines[at:end] = [*kept[:place], *added, *kept[place:]]
-    return "\n".join(lines) + "\n"
+    return end_of_line.join(lines) + end_of_line
 
 
 def _written(value: str | Mapping[str, str]) -> str:
@@ -254,7 +265,8 @@ def _check_keys(path: Path, where: str, table: Mapping[str, Any], known: Iterabl
         )
 
 
-def _check_name(path: Path, name: str) -> None:
+def check_name(path: Path, name: str) -> None:
+    """Raises UsageError: no aircraft of the file can be called so."""
     if not _NAME.fullmatch(name) or re.match(r"COM\d", name):
         raise UsageError(
             f"{shown(path)}: an aircraft cannot be called {name!r}",

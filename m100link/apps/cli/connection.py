@@ -29,7 +29,13 @@ from m100link.apps.cli.common import (
     err,
     out,
 )
-from m100link.apps.cli.configuration import read_configuration, remember, shown
+from m100link.apps.cli.configuration import (
+    Configuration,
+    check_name,
+    read_configuration,
+    remember,
+    shown,
+)
 from m100link.apps.cli.options import Above0, AsJson, Duration, offered
 from m100link.apps.cli.terminal import ExitCode, finite, print_json, read_line, wants_json
 from m100link.apps.doctor import Finding, Machine, Report, Stage, Verdict, diagnose
@@ -462,6 +468,11 @@ async def first_contact(
     word = url or options.url or os.environ.get("M100LINK_URL") or configuration.default
     place = options.place(url)
     name = name or (word if word in configuration.aircraft else None)
+    # Before half an hour of work, not behind it.
+    if name is not None:
+        check_name(configuration.path, name)
+    if report is not None:
+        _check_report(report)
     app = place.settings
     as_json = wants_json(json)
     contact: Contact = await meet(
@@ -477,20 +488,28 @@ async def first_contact(
     described = {"line": _kind_of_line(place), **contact.to_json()}
     if as_json:
         print_json(described)
-    if report is not None:
-        _write_report(report, described)
-        err.print(f"written: {report}", markup=False)
-    if name is not None and contact.found:
-        found: dict[str, str | dict[str, str]] = {}
-        mode = contact.get(Topic.ACCELERATION)
-        if mode is not None and mode.is_seen:
-            found["acceleration"] = mode.found
-        found["seen"] = {"on": f"{datetime.now(UTC):%Y-%m-%d}", **contact.found}
-        remember(configuration, name, place.url, found)
-        err.print(f"kept in {shown(configuration.path)} [aircraft.{name}]", markup=False)
+    try:
+        if report is not None:
+            _write_report(report, described)
+            err.print(f"written: {report}", markup=False)
+    finally:  # no error of the one costs the other
+        if name is not None and contact.found:
+            _remember(configuration, name, place.url, contact)
     if contact.ended_by:
         err.print(f"it ended early: {contact.ended_by}", markup=False)
-    return ExitCode.OK if contact.is_given_back else ExitCode.AUTHORITY
+    if not contact.is_given_back:
+        return ExitCode.AUTHORITY
+    return ExitCode.NO_LINK if contact.is_cut_off else ExitCode.OK
+
+
+def _remember(configuration: Configuration, name: str, url: str, contact: Contact) -> None:
+    found: dict[str, str | dict[str, str]] = {}
+    mode = contact.get(Topic.ACCELERATION)
+    if mode is not None and mode.is_seen:
+        found["acceleration"] = mode.found
+    found["seen"] = {"on": f"{datetime.now(UTC):%Y-%m-%d}", **contact.found}
+    remember(configuration, name, url, found)
+    err.print(f"kept in {shown(configuration.path)} [aircraft.{name}]", markup=False)
 
 
 def _kind_of_line(place: ConnectionOptions) -> str:
@@ -515,9 +534,20 @@ def _tell_observation(one: Observation) -> None:
 async def _asked(text: str) -> bool:
     """Have the person do something; without a terminal nobody does."""
     if not sys.stdin.isatty():
+        err.print(f"{text} No: there is no terminal to answer on.", markup=False)
         return False
     err.print(f"{text} [y/N] ", end="", markup=False)
     return (await read_line()).lower() in ("y", "yes")
+
+
+def _check_report(path: Path) -> None:
+    """Raises UsageError: no report can be written there, or one is there already."""
+    if path.exists():
+        raise UsageError(
+            f"{path} is there already", remedy="name another file with --report, or remove it"
+        )
+    if not os.access(path.parent, os.W_OK):
+        raise UsageError(f"{path} cannot be written", remedy="name a file in a folder of yours")
 
 
 def _write_report(path: Path, described: dict[str, Any]) -> None:

@@ -119,6 +119,7 @@ class Contact:
     firmware: str = ""  #: profile in use; empty when the aircraft did not answer
     observations: list[Observation] = field(default_factory=list)  #: one for each topic
     ended_by: str = ""  #: why it ended early
+    is_cut_off: bool = False  #: whether it ended early because the line went away
     #: False while the aircraft may still have given control to this program.
     is_given_back: bool = True
 
@@ -206,6 +207,7 @@ async def first_contact(
         await meeting.hold(credentials)
     except LinkError as error:
         # Its text names the port or the address, which belongs into no report.
+        meeting.contact.is_cut_off = True
         meeting.contact.ended_by = f"the line went away ({type(error).__name__})"
     finally:
         await aircraft.aclose()

@@ -319,3 +319,42 @@ def test_a_file_of_another_layout_stays_as_it_is(configuration_file: Path, text:
     assert configuration_file.read_text(encoding="utf-8") == text
     with pytest.raises(UsageError, match="cannot be called"):
         remember(Configuration(path=configuration_file, exists=True), "a b", "", FOUND)
+
+
+def test_a_shorter_contact_keeps_what_an_earlier_one_found(configuration_file: Path) -> None:
+    """Also in a file that a person wrote while the contact went on, with the ends of its lines."""
+    before = read_configuration()
+    assert not before.exists
+    text = '# mine\r\n[aircraft.lab]\r\nurl = "/dev/m100"\r\nseen = { release = "released" }\r\n'
+    configuration_file.parent.mkdir(parents=True, exist_ok=True)
+    configuration_file.write_bytes(text.encode())
+    remember(before, "lab", "/dev/other", FOUND)
+    written = configuration_file.read_bytes()
+    assert written.startswith(b'# mine\r\n[aircraft.lab]\r\nurl = "/dev/m100"\r\n')
+    assert written.count(b"\n") == written.count(b"\r\n")
+    assert read_configuration().aircraft["lab"]["seen"] == {
+        "release": "released",
+        "on": "2026-11-28",
+        "rc_lost": "zeros",
+    }
+
+
+def test_a_file_that_may_be_read_only_stays(file: Path) -> None:
+    before = file.read_bytes()
+    file.chmod(0o444)
+    with pytest.raises(UsageError, match="was not changed: it may be read only"):
+        remember(read_configuration(), "lab-m100", "", FOUND)
+    assert file.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["aircraft = 1\n", '[aircraft.lab]\nurl = "/dev/m100"\nseen = { release = 1979-05-27 }\n'],
+)
+def test_a_file_of_another_kind_stays(configuration_file: Path, text: str) -> None:
+    before = read_configuration()
+    configuration_file.parent.mkdir(parents=True, exist_ok=True)
+    configuration_file.write_text(text, encoding="utf-8")
+    with pytest.raises(UsageError, match="was not changed"):
+        remember(before, "lab", "", FOUND)
+    assert configuration_file.read_text(encoding="utf-8") == text

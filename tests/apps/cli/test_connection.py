@@ -12,6 +12,7 @@ import pytest
 from m100link.apps.cli import connection as doctor_module
 from m100link.apps.cli.connection import _EXIT_CODES
 from m100link.apps.doctor import Machine, Stage
+from m100link.apps.doctor.first_contact import Contact
 from m100link.apps.doctor.machine import Adapter
 from m100link.sim.vehicle.activation import DEMO_APP_ID, DEMO_KEY
 from tests.apps.cli.conftest import NEARLY_100, CommandLine, Simulator, process
@@ -346,7 +347,56 @@ def test_a_first_contact_asks_reports_and_is_remembered(
     assert cli("config", "lab").objects[0]["in_force"]["acceleration"]["value"] == "raw"
 
 
+def test_what_cannot_be_kept_is_refused_before_the_first_question(
+    cli: CommandLine, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    async def nobody(_: str) -> bool:
+        raise AssertionError("it was asked")
+
+    monkeypatch.setattr(doctor_module, "_asked", nobody)
+    old = tmp_path / "first.json"
+    old.write_text("{}", encoding="utf-8")
+    for wrong, why in (
+        (("--name", "my lab"), "cannot be called"),
+        (("--report", str(old)), "is there already"),
+        (("--report", str(tmp_path / "none" / "first.json")), "cannot be written"),
+    ):
+        outcome = cli("first-contact", "sim://", *wrong)
+        assert outcome.status == 2
+        assert why in outcome.err.replace("\n", " ")
+    assert old.read_text(encoding="utf-8") == "{}"
+
+
+def test_a_report_that_fails_at_last_costs_the_configuration_nothing(
+    cli: CommandLine,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    configuration_file: Path,
+) -> None:
+    place = tmp_path / "first.json"
+
+    async def fill_the_disk(_: str) -> bool:
+        place.mkdir()
+        return False
+
+    monkeypatch.setattr(doctor_module, "_asked", fill_the_disk)
+    assert cli("first-contact", "sim://", "--name", "lab", "--report", str(place)).status == 2
+    assert "[aircraft.lab]" in configuration_file.read_text(encoding="utf-8")
+
+
+def test_a_line_that_goes_is_told_by_the_status(
+    cli: CommandLine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def meet(*_: object, **__: object) -> Contact:
+        return Contact(ended_by="the line went away (LinkLost)", is_cut_off=True)
+
+    monkeypatch.setattr(doctor_module, "meet", meet)
+    assert cli("first-contact", "sim://").status == 4
+
+
 def test_without_a_terminal_nothing_is_tried(cli: CommandLine) -> None:
-    [found] = cli("first-contact", "sim://").objects
+    outcome = cli("first-contact", "sim://")
+    assert "no terminal" in outcome.err.replace("\n", " ")
+    [found] = outcome.objects
     assert found["ended_by"] == "the propellers may be on: nothing was tried"
     assert [one["topic"] for one in found["observations"]] == ["version"]
