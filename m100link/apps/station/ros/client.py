@@ -195,14 +195,17 @@ class Client:
 
     def _topic(self, message: dict[str, Any]) -> RosTopic:
         name = _text(message, "topic")
-        topic = self.graph.topics.get(canonical_name(name))
-        if topic is None:
+        known = self.graph.topic(name)
+        if known is None:
             raise _Fault(
                 f"there is no topic {name[:128]!r} here; /rosapi/topics lists those there are"
             )
-        given = message.get("type")
-        if given is not None and canonical_type(_text(message, "type")) != topic.type.name:
-            raise _Fault(f"{topic.name} is of type {topic.type.name}, not {str(given)[:128]}")
+        if message.get("type") is None:
+            return known
+        given = canonical_type(_text(message, "type"))
+        topic = self.graph.topic(name, given)
+        if topic is None:
+            raise _Fault(f"{known.name} is of type {known.type.name}, not {given[:128]}")
         return topic
 
     def _advertise(self, message: dict[str, Any], now: float) -> None:
@@ -244,6 +247,9 @@ class Client:
         if count >= self.limits.subscriptions:
             raise _Fault(f"at most {self.limits.subscriptions} subscriptions are possible")
         subscription = self.outbox.subscription(topic, name)
+        if subscription.topic is not topic:
+            had = subscription.topic.type.name
+            raise _Fault(f"{name[:128]!r} is subscribed as {had} already, not {topic.type.name}")
         topic.subscribers.add(self)
         subscription.requested[str(message.get("id"))] = options
         subscription.merge()
@@ -473,7 +479,7 @@ class Outbox:
         self.dropped = 0  # messages dropped because the client was slow
         self._limit = waiting
         self._on_output = on_output
-        self._by_topic: dict[str, list[TopicSubscription]] = {}
+        self._by_topic: dict[RosTopic, list[TopicSubscription]] = {}
         self._queue: deque[tuple[TopicSubscription, Publication]] = deque()
         # Messages in the queue that were not dropped.
         self._count = 0
@@ -490,16 +496,16 @@ class Outbox:
         found = self.subscriptions.get(name)
         if found is None:
             found = self.subscriptions[name] = TopicSubscription(topic, name)
-            self._by_topic.setdefault(topic.name, []).append(found)
+            self._by_topic.setdefault(topic, []).append(found)
         return found
 
     def unsubscribe(self, name: str) -> bool:
         """End a subscription; returns whether it was the last of its topic."""
         subscription = self.subscriptions.pop(name)
-        rest = self._by_topic[subscription.topic.name]
+        rest = self._by_topic[subscription.topic]
         rest.remove(subscription)
         if not rest:
-            del self._by_topic[subscription.topic.name]
+            del self._by_topic[subscription.topic]
         return not rest
 
     def clear(self) -> None:
@@ -512,7 +518,7 @@ class Outbox:
 
     def deliver(self, publication: Publication, now: float) -> None:
         """A message was published; those of its topic get it."""
-        for subscription in self._by_topic.get(publication.topic.name, ()):
+        for subscription in self._by_topic.get(publication.topic, ()):
             self.offer(subscription, publication, now)
 
     def offer(self, subscription: TopicSubscription, publication: Publication, now: float) -> None:

@@ -7,7 +7,7 @@ nothing a client does makes it grow.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from operator import attrgetter
@@ -138,6 +138,8 @@ class Graph:
         self.prefix = prefix
         # Topics by name, those of all namespaces.
         self.topics: dict[str, RosTopic] = {} if whole is None else whole.topics
+        # Topics whose name has another type in an earlier node of DJI's, by name and type.
+        self.others: dict[tuple[str, str], RosTopic] = {} if whole is None else whole.others
         # Services by name, those of all namespaces.
         self.services: dict[str, RosService] = {} if whole is None else whole.services
         self.sessions: set[GraphListener] = set() if whole is None else whole.sessions
@@ -161,10 +163,26 @@ class Graph:
         type_name: str,
         on_publish: Callable[[GraphListener, Message, float], None] | None = None,
     ) -> RosTopic:
-        """A topic that the station publishes, or takes messages from."""
+        """A topic that the station publishes, or takes messages from.
+
+        DJI's nodes have a name more than once, with another type: a client says which it wants.
+        """
         name = self.prefix + name
-        topic = self.topics[name] = RosTopic(name, MESSAGES[type_name], on_publish)
+        topic = RosTopic(name, MESSAGES[type_name], on_publish)
+        if self.topics.setdefault(name, topic) is not topic:
+            self.others[name, type_name] = topic
         return topic
+
+    def topic(self, name: str, type_name: str | None = None) -> RosTopic | None:
+        """The topic of a name, and of that type where one is given."""
+        found = self.topics.get(canonical_name(name))
+        if found is None or type_name in (None, found.type.name):
+            return found
+        return self.others.get((found.name, str(type_name)))
+
+    def all_topics(self) -> Iterator[RosTopic]:
+        yield from self.topics.values()
+        yield from self.others.values()
 
     def add_service(
         self,
@@ -187,7 +205,7 @@ class Graph:
     def leave(self, session: GraphListener, now: float) -> None:
         if session in self.sessions:
             self.sessions.discard(session)
-            for topic in self.topics.values():
+            for topic in self.all_topics():
                 topic.subscribers.discard(session)
             for callback in self.on_leave:
                 callback(session, now)
@@ -219,7 +237,7 @@ def add_rosapi(graph: Graph) -> None:
         ("service_providers", "ServiceProviders", api.service_providers),
         ("service_node", "ServiceNode", api.service_node),
         ("service_host", "ServiceHost", api.service_host),
-        ("action_servers", "GetActionServers", lambda _: {"action_servers": []}),
+        ("action_servers", "GetActionServers", api.action_servers),
         ("nodes", "Nodes", lambda _: {"nodes": [NODE]}),
         ("node_details", "NodeDetails", api.node_details),
         ("message_details", "MessageDetails", _details("message", MESSAGES, lambda one: one)),
@@ -267,7 +285,12 @@ class _RosApi:
 
     def topics_for_type(self, request: Message) -> Message:
         wanted = canonical_type(request["type"])
-        return {"topics": [one.name for one in self._topics() if one.type.name == wanted]}
+        found = (one.name for one in self._graph.all_topics() if one.type.name == wanted)
+        return {"topics": sorted(found)}
+
+    def action_servers(self, _: Message) -> Message:
+        goals = (one for one in self._topics() if one.type.name.endswith("ActionGoal"))
+        return {"action_servers": [one.name.removesuffix("/goal") for one in goals]}
 
     def topics_and_raw_types(self, request: Message) -> Message:
         texts = [definition(one.type) for one in self._topics()]
@@ -336,8 +359,8 @@ def _typedef(kind: MessageType) -> Message:
         # -1 is not an array, 0 one of any length.
         "fieldarraylen": [-1 if field.length is None else field.length for field in fields],
         "examples": [_example(kind, field.name) for field in fields],
-        "constnames": [],
-        "constvalues": [],
+        "constnames": [name for name, _ in kind.constants],
+        "constvalues": [str(value) for _, value in kind.constants],
     }
 
 

@@ -1,11 +1,10 @@
 """The ROS message and service types that the station speaks, and checks of values against them.
 
-Types are written as ROS writes them, one field after the other; ``[<=16]`` bounds what clients may
-send in an array. Where generations of DJI's node differ, ``[15..16]`` takes the shorter array, too,
-and ``uint16|int16`` negative values; published is the longer array of the first type. A value is
-checked field by field: what is missing gets its default, what is unknown or of the wrong type or
-size is an error that names the field. Values live in Python form: a dict per message, ``bytes`` for
-``uint8[]``, NaN for the JSON ``null`` of a float.
+``types.txt`` has them as ROS writes them, one field after the other. Where generations of DJI's
+node differ, published is the longer array of the first type. A value is checked field by field:
+what is missing gets its default, what is unknown or of the wrong type or size is an error that
+names the field. Values live in Python form: a dict per message, ``bytes`` for ``uint8[]``, NaN for
+the JSON ``null`` of a float.
 """
 
 from __future__ import annotations
@@ -17,132 +16,15 @@ import math
 import struct
 import time
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 Message = dict[str, Any]  # a ROS message: field names and values
 
-_DEFINITIONS = """
-std_msgs/Bool: bool data
-std_msgs/Empty:
-std_msgs/UInt8: uint8 data
-std_msgs/UInt16: uint16 data
-std_msgs/Int32: int32 data
-std_msgs/Float32: float32 data
-std_msgs/Float64: float64 data
-std_msgs/String: string data
-std_msgs/Header: uint32 seq, time stamp, string frame_id
-geometry_msgs/Vector3: float64 x, float64 y, float64 z
-geometry_msgs/Point: float64 x, float64 y, float64 z
-geometry_msgs/Quaternion: float64 x, float64 y, float64 z, float64 w
-geometry_msgs/Vector3Stamped: std_msgs/Header header, geometry_msgs/Vector3 vector
-geometry_msgs/PointStamped: std_msgs/Header header, geometry_msgs/Point point
-geometry_msgs/QuaternionStamped: std_msgs/Header header, geometry_msgs/Quaternion quaternion
-sensor_msgs/Imu: std_msgs/Header header, geometry_msgs/Quaternion orientation, \
-float64[9] orientation_covariance, geometry_msgs/Vector3 angular_velocity, \
-float64[9] angular_velocity_covariance, geometry_msgs/Vector3 linear_acceleration, \
-float64[9] linear_acceleration_covariance
-sensor_msgs/NavSatStatus: int8 status, uint16 service
-sensor_msgs/NavSatFix: std_msgs/Header header, sensor_msgs/NavSatStatus status, float64 latitude, \
-float64 longitude, float64 altitude, float64[9] position_covariance, uint8 position_covariance_type
-sensor_msgs/Joy: std_msgs/Header header, float32[<=16] axes, int32[<=16] buttons
-sensor_msgs/MagneticField: std_msgs/Header header, geometry_msgs/Vector3 magnetic_field, \
-float64[9] magnetic_field_covariance
-sensor_msgs/BatteryState: std_msgs/Header header, float32 voltage, float32 current, \
-float32 charge, float32 capacity, float32 design_capacity, float32 percentage, \
-uint8 power_supply_status, uint8 power_supply_health, uint8 power_supply_technology, \
-bool present, float32[] cell_voltage, string location, string serial_number
-rosgraph_msgs/Log: std_msgs/Header header, byte level, string name, string msg, string file, \
-string function, uint32 line, string[] topics
-rosapi/TypeDef: string type, string[] fieldnames, string[] fieldtypes, int32[] fieldarraylen, \
-string[] examples, string[] constnames, string[] constvalues
-dji_sdk/MobileData: uint8[<=100] data
-dji_sdk/Gimbal: std_msgs/Header header, int32 ts, uint8 mode, float32 yaw, float32 pitch, \
-float32 roll
-dji_sdk/MissionPushInfo: uint8 type, uint8 data_1, uint8 data_2, uint8 data_3, uint8 data_4, \
-uint8 data_5
-dji_sdk/MissionWaypointAction: uint8 action_repeat, uint8[15..16] command_list, \
-uint16|int16[15..16] command_parameter
-dji_sdk/MissionWaypoint: float64 latitude, float64 longitude, float32 altitude, \
-float32 damping_distance, int16 target_yaw, int16 target_gimbal_pitch, uint8 turn_mode, \
-uint8 has_action, uint16 action_time_limit, dji_sdk/MissionWaypointAction waypoint_action
-dji_sdk/MissionWaypointTask: float32 velocity_range, float32 idle_velocity, \
-uint8 action_on_finish, uint8 mission_exec_times, uint8 yaw_mode, uint8 trace_mode, \
-uint8 action_on_rc_lost, uint8 gimbal_pitch_mode, dji_sdk/MissionWaypoint[] mission_waypoint
-dji_sdk/MissionHotpointTask: float64 latitude, float64 longitude, float64 altitude, \
-float64 radius, float32 angular_speed, uint8 is_clockwise, uint8 start_point, uint8 yaw_mode
-"""
-
-_SERVICE_DEFINITIONS = """
-std_srvs/Empty: ->
-std_srvs/Trigger: -> bool success, string message
-dji_sdk/Activation: -> bool result, uint8 cmd_set, uint8 cmd_id, uint32 ack_data
-dji_sdk/SDKControlAuthority: uint8 control_enable -> bool result, uint8 cmd_set, uint8 cmd_id, \
-uint32 ack_data
-dji_sdk/DroneTaskControl: uint8 task -> bool result, uint8 cmd_set, uint8 cmd_id, uint32 ack_data
-dji_sdk/DroneArmControl: uint8 arm -> bool result, uint8 cmd_set, uint8 cmd_id, uint32 ack_data
-dji_sdk/MissionWpUpload: dji_sdk/MissionWaypointTask waypoint_task -> bool result, \
-uint8 cmd_set, uint8 cmd_id, uint32 ack_data
-dji_sdk/MissionWpAction: uint8 action -> bool result, uint8 cmd_set, uint8 cmd_id, uint32 ack_data
-dji_sdk/MissionWpGetInfo: -> dji_sdk/MissionWaypointTask waypoint_task
-dji_sdk/MissionWpGetSpeed: -> float32 speed, uint8 cmd_set, uint8 cmd_id, uint32 ack_data
-dji_sdk/MissionWpSetSpeed: float32 speed -> bool result
-dji_sdk/MissionHpUpload: dji_sdk/MissionHotpointTask hotpoint_task -> bool result, \
-uint8 cmd_set, uint8 cmd_id, uint32 ack_data
-dji_sdk/MissionHpAction: uint8 action -> bool result, uint8 cmd_set, uint8 cmd_id, uint32 ack_data
-dji_sdk/MissionHpGetInfo: -> dji_sdk/MissionHotpointTask hotpoint_task, uint8 cmd_set, \
-uint8 cmd_id, uint32 ack_data
-dji_sdk/MissionHpUpdateRadius: float32 radius -> bool result, uint8 cmd_set, uint8 cmd_id, \
-uint32 ack_data
-dji_sdk/MissionHpUpdateYawRate: float32 yaw_rate, uint8 direction -> bool result, \
-uint8 cmd_set, uint8 cmd_id, uint32 ack_data
-dji_sdk/MissionHpResetYaw: -> bool result, uint8 cmd_set, uint8 cmd_id, uint32 ack_data
-dji_sdk/MissionStart: -> bool result
-dji_sdk/MissionPause: uint8 pause -> bool result
-dji_sdk/MissionCancel: -> bool result
-dji_sdk/MissionWpDownload: -> dji_sdk/MissionWaypointTask waypoint_task
-dji_sdk/MissionHpDownload: -> dji_sdk/MissionHotpointTask hotpoint_task
-dji_sdk/MissionHpSetSpeed: float32 speed, uint8 direction -> bool result
-dji_sdk/MissionHpSetRadius: float32 radius -> bool result
-dji_sdk/SDKPermissionControl: uint8 control_enable -> bool result
-dji_sdk/CameraActionControl: uint8 camera_action -> bool result
-dji_sdk/GimbalAngleControl: int16 yaw, int16 roll, int16 pitch, int16 duration, \
-bool absolute_or_incremental, bool yaw_cmd_ignore, bool roll_cmd_ignore, bool pitch_cmd_ignore \
--> bool result
-dji_sdk/GimbalSpeedControl: int16 yaw_rate, int16 roll_rate, int16 pitch_rate -> bool result
-dji_sdk/CameraAction: uint8 camera_action -> bool result
-dji_sdk/QueryDroneVersion: -> uint32 version, string hardware
-dji_sdk/SetLocalPosRef: -> bool result
-dji_sdk/SendMobileData: uint8[<=100] data -> bool result
-m100link/Lease: string action, string name, string token -> bool success, string message, \
-string holder, string token, float64 remaining
-rosapi/Topics: -> string[] topics, string[] types
-rosapi/TopicType: string topic -> string type
-rosapi/TopicsForType: string type -> string[] topics
-rosapi/Services: -> string[] services
-rosapi/ServiceType: string service -> string type
-rosapi/GetTime: -> time time
-rosapi/TopicsAndRawTypes: -> string[] topics, string[] types, string[] typedefs_full_text
-rosapi/Publishers: string topic -> string[] publishers
-rosapi/Subscribers: string topic -> string[] subscribers
-rosapi/ServicesForType: string type -> string[] services
-rosapi/ServiceProviders: string service -> string[] providers
-rosapi/ServiceNode: string service -> string node
-rosapi/ServiceHost: string service -> string host
-rosapi/GetActionServers: -> string[] action_servers
-rosapi/Nodes: -> string[] nodes
-rosapi/NodeDetails: string node -> string[] subscribing, string[] publishing, string[] services
-rosapi/MessageDetails: string type -> rosapi/TypeDef[] typedefs
-rosapi/ServiceRequestDetails: string type -> rosapi/TypeDef[] typedefs
-rosapi/ServiceResponseDetails: string type -> rosapi/TypeDef[] typedefs
-rosapi/GetParam: string name, string default -> string value
-rosapi/GetParamNames: -> string[] names
-rosapi/HasParam: string name -> bool exists
-rosapi/SearchParam: string name -> string global_name
-rosapi/SetParam: string name, string value ->
-rosapi/DeleteParam: string name ->
-"""
+_TYPES = Path(__file__).with_name("types.txt")
+_PARTS = ("Goal", "Result", "Feedback")  # of an action
 
 _INTEGERS = {
     name: (-(1 << bits - 1), (1 << bits - 1) - 1) if name.startswith("i") else (0, (1 << bits) - 1)
@@ -195,6 +77,7 @@ class MessageType:
 
     name: str
     fields: tuple[MessageField, ...]  # in their order
+    constants: tuple[tuple[str, int | float], ...] = ()  # names and values
 
     @property
     def type_name(self) -> str:
@@ -276,26 +159,47 @@ def _fields(text: str) -> tuple[MessageField, ...]:
     return tuple(fields)
 
 
-def _messages() -> dict[str, MessageType]:
-    lines = (line.partition(":") for line in _DEFINITIONS.strip().splitlines())
-    return {name: MessageType(name, _fields(text)) for name, _, text in lines}
+def message_type(name: str, text: str) -> MessageType:
+    """A type from its fields and constants, as ``types.txt`` writes them."""
+    fields, _, constants = text.partition(";")
+    pairs = (one.partition("=") for one in constants.split())
+    return MessageType(
+        name, _fields(fields), tuple((key, json.loads(value)) for key, _, value in pairs)
+    )
 
 
-def _services() -> dict[str, ServiceType]:
+def action_types(name: str, parts: Iterable[str]) -> Iterator[MessageType]:
+    """The types of an action: goal, result and feedback, and what actionlib puts around them."""
+    header, status = "std_msgs/Header header", "actionlib_msgs/GoalStatus status"
+    for part, text in zip(_PARTS, parts, strict=True):
+        identity = "actionlib_msgs/GoalID goal_id" if part == "Goal" else status
+        yield message_type(f"{name}{part}", text)
+        around = f"{header}, {identity}, {name}{part} {part.lower()}"
+        yield message_type(f"{name}Action{part}", around)
+    whole = (f"{name}Action{part} action_{part.lower()}" for part in _PARTS)
+    yield message_type(f"{name}Action", ", ".join(whole))
+
+
+def _types() -> tuple[dict[str, MessageType], dict[str, ServiceType]]:
+    messages: dict[str, MessageType] = {}
     services = {}
-    for line in _SERVICE_DEFINITIONS.strip().splitlines():
+    for line in _TYPES.read_text(encoding="utf-8").splitlines():
         name, _, text = line.partition(":")
-        request, _, response = text.partition("->")
-        services[name] = ServiceType(
-            name,
-            MessageType(f"{name} request", _fields(request)),
-            MessageType(f"{name} response", _fields(response)),
-        )
-    return services
+        if not name or name.startswith("#"):
+            continue
+        if "=>" in text:
+            messages |= {one.name: one for one in action_types(name, text.split("=>"))}
+        elif "->" in text:
+            halves = zip(("request", "response"), text.split("->"), strict=True)
+            services[name] = ServiceType(
+                name, *(message_type(f"{name} {half}", part) for half, part in halves)
+            )
+        else:
+            messages[name] = message_type(name, text)
+    return messages, services
 
 
-MESSAGES: dict[str, MessageType] = _messages()  # message types by name
-SERVICES: dict[str, ServiceType] = _services()  # service types by name
+MESSAGES, SERVICES = _types()  # message types, and service types, by name
 
 
 def canonical_type(name: str) -> str:
