@@ -350,12 +350,12 @@ def _dji_remote(rc: RemoteControl) -> dict[str, Any]:
     return {"axes": axes, "buttons": []}
 
 
-def _dji_battery(battery: Battery) -> dict[str, Any]:
+def battery_state(battery: Battery, whole: float = 1.0) -> dict[str, Any]:
+    """A ``sensor_msgs/BatteryState``; ``whole``: the percentage of a full battery."""
     unknown = ("voltage", "temperature", "current", "charge", "capacity", "design_capacity")
     return {
         **dict.fromkeys(unknown, math.nan),
-        # 0 to 1 is the standard; DJI's node puts 0 to 100 there.
-        "percentage": battery.percent / 100.0 if battery.is_possible else math.nan,
+        "percentage": whole * battery.percent / 100.0 if battery.is_possible else math.nan,
         **{f"power_supply_{what}": 0 for what in ("status", "health", "technology")},
         "present": True,
         **{"cell_voltage": [], "cell_temperature": [], "location": "", "serial_number": ""},
@@ -383,7 +383,10 @@ DJI_TOPICS: Mapping[str, DjiTopic] = {
     "flight_status": DjiTopic(
         "std_msgs/UInt8", None, _of("flight_status", lambda one: {"data": one.status})
     ),
-    "battery_state": DjiTopic("sensor_msgs/BatteryState", "", _of("battery", _dji_battery)),
+    # 0 to 1 is the standard; DJI's node puts 0 to 100 there.
+    "battery_state": DjiTopic(
+        *("sensor_msgs/BatteryState", ""), _of("battery", lambda one: battery_state(one, 100.0))
+    ),
 }
 """By its name below ``dji_sdk/``."""
 

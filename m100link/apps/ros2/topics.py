@@ -160,7 +160,7 @@ DJI_OUTPUTS: Mapping[str, Output] = {
         ("rc", 50, "roll, pitch, yaw, throttle, mode, gear as axes"),
         ("gimbal_angle", 50, "roll, pitch, yaw in degrees"),
         ("flight_status", 50, "numbered as on the wire"),
-        ("battery_state", 10, "as ~/battery"),
+        ("battery_state", 10, "as ~/battery, with a percentage of 0 to 100, as DJI's node has it"),
     )
 }
 """By name, relative to the namespace of the node."""

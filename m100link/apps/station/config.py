@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 import secrets
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -225,15 +225,19 @@ class Settings:
         named = self.allow_host[0] if self.allow_host and self.host in nearest else self.host
         return f"{_in_url(nearest.get(named, named))}:{port}"
 
-    def gate(self, app: ASGIApp) -> AccessControl:
+    def gate(self, app: ASGIApp, own_ports: Iterable[int] = ()) -> AccessControl:
         """An application behind its gate: the allowed peers, and the token to show.
+
+        ``own_ports``: those whose pages may connect to it, besides its own.
 
         Raises ``UsageError``: see :meth:`access_token`.
         """
         token = self.access_token()
         access = None if token is None else Access(token)
         names = self.host_names()
-        return AccessControl(app, hosts=names, origins=self.allow_origin, access=access)
+        return AccessControl(
+            app, hosts=names, origins=self.allow_origin, access=access, own_ports=own_ports
+        )
 
     def is_plain_beyond_loopback(self) -> bool:
         """Whether the token and everything else would travel readable through a network."""

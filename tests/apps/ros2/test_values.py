@@ -273,7 +273,7 @@ TOLD: dict[str, dict[str, Any]] = {
     },
     "dji_sdk/gimbal_angle": {"header": header("ground_ENU"), "vector": xyz(4.5, -37.25, 118.75)},
     "dji_sdk/flight_status": {"data": 3},
-    "dji_sdk/battery_state": {"header": header(""), **BATTERY},
+    "dji_sdk/battery_state": {"header": header(""), **BATTERY, "percentage": close(63.0)},
 }
 
 

@@ -16,13 +16,14 @@ from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.latency import MAX_LATE, ClockEstimate
 from m100link.apps.agent.orders import CameraUse
-from m100link.apps.station.ros.graph import Graph, GraphListener, RosTopic, ServiceCall
+from m100link.apps.station.ros.graph import Graph, GraphListener, RosTopic, ServiceCall, stamped
 from m100link.apps.station.ros.leases import TASKS, Clients
-from m100link.apps.station.ros.messages import Message, present
+from m100link.apps.station.ros.messages import Message
 from m100link.apps.station.ros.missions import MissionTopics
+from m100link.apps.station.ros.node_2016 import Node2016
 from m100link.errors import GuardRefused, M100Error, UsageError
 from m100link.geodesy import LocalFrame
-from m100link.log.ros2 import DJI_TOPICS, DjiTopic, joy_move
+from m100link.log.ros2 import DJI_TOPICS, DjiTopic, battery_state, joy_move
 from m100link.protocol.commands.control import Arm
 from m100link.protocol.commands.gimbal import GimbalAngle, GimbalAngleMode, GimbalSpeed
 from m100link.protocol.firmware import FIRMWARE_3_1
@@ -33,6 +34,7 @@ from m100link.telemetry.sample import Sample
 from m100link.telemetry.subscription import Newest
 
 _WAY = "way of setpoints"
+_YAW_RATE = 0x08  # in the control flag
 
 
 def joy_setpoint(flag: int, x: float, y: float, z: float, yaw: float) -> Setpoint:
@@ -48,9 +50,9 @@ class DjiSdk:
 
     def __init__(self, agent: AgentClient, graph: Graph, clients: Clients) -> None:
         self._agent, self._graph, self._clients = agent, graph, clients
-        self._sequence = 0
         self._origin: tuple[LocalFrame, float] | None = None
         self._topics: list[tuple[RosTopic, DjiTopic]] = []
+        self._node_2016 = Node2016(agent, graph, clients)
         self._add_telemetry()
         self._add_setpoints()
         self._add_services()
@@ -64,8 +66,18 @@ class DjiSdk:
 
     def _add_telemetry(self) -> None:
         local = DjiTopic("geometry_msgs/PointStamped", "/local", self._local_position)
-        for name, convert in {**DJI_TOPICS, "local_position": local}.items():
-            self._topics.append((self._graph.add_topic(f"/dji_sdk/{name}", convert.kind), convert))
+        earlier = self._node_2016.topics
+        # In this order: a client that names no type gets that of the later node.
+        for name, convert in (
+            *DJI_TOPICS.items(),
+            ("local_position", local),
+            *earlier.items(),
+        ):
+            topic = self._graph.add_topic(f"/dji_sdk/{name}", convert.kind)
+            self._topics.append((topic, convert))
+        standard = DJI_TOPICS["battery_state"]._replace(make=_battery)
+        topic = self._graph.add_topic("/m100link/battery_state", standard.kind)
+        self._topics.append((topic, standard))
 
     async def _watch(self) -> None:
         async with self._agent.samples(Newest(20)) as samples:
@@ -78,17 +90,14 @@ class DjiSdk:
                         message = topic.type.default()
                         message |= {name: made[name] for name in made if name in message}
                         if convert.frame is not None:
-                            message["header"] = self._header(convert.frame)
+                            message["header"] = stamped(convert.frame)
                         self._graph.publish(topic, message, sample.received_at)
 
     async def _watch_mobile(self) -> None:
         async with self._agent.from_mobile(Newest(50)) as messages:
             async for data in messages:
                 self._graph.publish(self._from_mobile, {"data": data}, self._agent.now)
-
-    def _header(self, frame: str) -> Message:
-        self._sequence = (self._sequence + 1) & 0xFFFFFFFF
-        return {"seq": self._sequence, "stamp": present(), "frame_id": frame}
+                self._node_2016.tell_from_mobile(data)
 
     def _local_position(self, sample: Sample) -> Message | None:
         position = sample.position
@@ -117,15 +126,18 @@ class DjiSdk:
         self, flag: int | None, session: GraphListener, message: Message, now: float
     ) -> None:
         axes = message["axes"]
-        count = 5 if flag is None else 4
+        least = 5 if flag is None else 3
         try:
             _check_way(session, message["header"]["stamp"], now)
-            if len(axes) != count:
-                raise UsageError(f"this topic takes {count} axes, not {len(axes)}")
+            if len(axes) < least:
+                raise UsageError(f"this topic takes {max(4, least)} axes, not {len(axes)}")
             if flag is None:
                 if not (math.isfinite(axes[4]) and 0 <= axes[4] <= 255):
                     raise UsageError("the fifth axis is the control flag, 0 to 255")
                 flag = int(axes[4])
+            if len(axes) == 3:
+                # DJI's node reads what lies behind the message, often zeros. The nose stays.
+                flag, axes = flag | _YAW_RATE, [*axes, 0.0]
             setpoint = joy_setpoint(flag, axes[0], axes[1], axes[2], axes[3])
             self._clients.session(session).steer(setpoint)
         except M100Error as error:
@@ -152,7 +164,7 @@ class DjiSdk:
         wanted = call.request["control_enable"]
         if wanted > 1:
             raise UsageError("control_enable is 1 to obtain and 0 to release")
-        await self._clients.switch(call.session, on=bool(wanted))
+        await self._clients.switch(call.session, on=bool(wanted), activates=True)
         return {"result": True, "cmd_set": 1, "cmd_id": 0, "ack_data": 2 if wanted else 1}
 
     async def _task(self, call: ServiceCall) -> Message:
@@ -166,12 +178,8 @@ class DjiSdk:
         return {"result": True, "cmd_set": 1, "cmd_id": 1, "ack_data": 2}
 
     async def _version(self, call: ServiceCall) -> Message:
-        name = (await self._agent.ask(orders.AskVersion())).text
-        numbers = name.rpartition("-")[2].split(".")
-        packed = 0
-        for number in numbers:
-            packed = packed << 8 | (int(number) & 0xFF if number.isdecimal() else 0)
-        return {"version": packed & 0xFFFFFFFF, "hardware": name}
+        version, hardware = dji_version((await self._agent.ask(orders.AskVersion())).text)
+        return {"version": version, "hardware": hardware}
 
     async def _set_origin(self, call: ServiceCall) -> Message:
         position = self._agent.view.get(Position)
@@ -188,6 +196,25 @@ class DjiSdk:
 
     async def _send_to_mobile(self, call: ServiceCall) -> Message:
         return await self._clients.order(call, orders.SendToMobile(call.request["data"]))
+
+
+def _battery(sample: Sample) -> Message | None:
+    """As the standard has it: a percentage of 0 to 1."""
+    return None if sample.battery is None else battery_state(sample.battery)
+
+
+def dji_version(text: str) -> tuple[int, str]:
+    """Version and hardware as DJI's node reads them: 0x03010A00, M100 of ``… M100-03.01.01.00``.
+
+    The aircraft says 01 for the 10 of version 3.1.10: DJI's library multiplies it by ten.
+    """
+    before, _, numbers = text.rpartition("-")
+    hardware = before.rpartition(" ")[2]
+    found = [int(one) if one.isdecimal() else 0 for one in numbers.split(".")[:4]]
+    major, minor, third, build = found + [0] * (4 - len(found))
+    if hardware == "M100":
+        third *= 10
+    return int.from_bytes(bytes(one & 0xFF for one in (major, minor, third, build))), hardware
 
 
 def _check_way(session: GraphListener, stamp: Message, now: float) -> None:

@@ -10,6 +10,7 @@ import json
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import count
 from operator import attrgetter
 from typing import Any, Protocol
 
@@ -34,6 +35,14 @@ from m100link.apps.station.ros.messages import (
 def canonical_name(name: str) -> str:
     """Names with and without a leading slash are the same topic."""
     return name if name.startswith("/") else f"/{name}"
+
+
+_sequence = count(1)
+
+
+def stamped(frame: str) -> Message:
+    """A header: the present time, and a number that counts up."""
+    return {"seq": next(_sequence) & 0xFFFFFFFF, "stamp": present(), "frame_id": frame}
 
 
 class Publication:

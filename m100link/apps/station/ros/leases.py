@@ -7,6 +7,7 @@ it ends when the client closes control or its socket is gone. Newer clients use 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Coroutine
 from functools import partial
 from typing import Any
@@ -26,6 +27,10 @@ TASKS: dict[int, orders.Order] = {4: orders.TakeOff(), 6: orders.Land(), 1: orde
 _COMPLAINT_PAUSE = 1.0
 _CONTROL, _COMPLAINED_AT, _ORDERS = "control session", "complained at", "orders"
 _RATE, _AT_ONCE = 2.0, 10.0
+# Seconds between two notes to people about what one client is refused; all clients together have
+# one in five seconds, and some more at once: they must not push out the events of others.
+_NOTE_PAUSE, _NOTES_RATE, _NOTES_AT_ONCE = 10.0, 0.2, 4.0
+_REFUSED, _NOTED_UNTIL = "refused", "noted until"
 
 
 class Clients:
@@ -35,6 +40,7 @@ class Clients:
         self._agent = agent
         self._graph = graph
         remedy = f"open control first ({graph.prefix}/nav_open_close_request 1)"
+        self._notes = TokenBucket(_NOTES_RATE, _NOTES_AT_ONCE)
         self._terms = Terms(activates=False, remedy=remedy)
         graph.on_leave.append(self._left)
         graph.add_service("/m100link/lease", "m100link/Lease", self._on_lease)
@@ -62,14 +68,16 @@ class Clients:
     def _left(self, client: GraphListener, now: float) -> None:
         self.session(client).close()
 
-    async def switch(self, client: GraphListener, *, on: bool) -> None:
-        """Open or close control.
+    async def switch(self, client: GraphListener, *, on: bool, activates: bool = False) -> None:
+        """Open or close control. ``activates``: DJI's later nodes do that when they start.
 
         Raises ``LeaseHeld``: another client has it. Raises ``M100Error``: as
         :meth:`m100link.apps.agent.control_session.ControlSession.obtain`.
         """
         session = self.session(client)
         if on:
+            if activates and not self._agent.state.is_activated:
+                await session.ask(orders.Activate())
             await session.obtain()
             return
         if session.is_changing:
@@ -86,11 +94,25 @@ class Clients:
         return {"result": True}
 
     def complain(self, client: GraphListener, error: Exception) -> None:
-        """Tell a client what is wrong, at most once a second: keys repeat thirty times."""
+        """Tell a client what is wrong, at most once a second: keys repeat thirty times.
+
+        People at the station hear it, too: a client may not listen, or not show it.
+        """
         now = self._agent.now
+        self._note_refusal(client, error)
         if now - client.data.get(_COMPLAINED_AT, float("-inf")) >= _COMPLAINT_PAUSE:
             client.data[_COMPLAINED_AT] = now
             client.status("error", str(error))
+
+    def _note_refusal(self, client: GraphListener, error: Exception) -> None:
+        known, now = self._graph.known(client), self._agent.now
+        known[_REFUSED] = count = known.get(_REFUSED, 0) + 1
+        if now < known.get(_NOTED_UNTIL, -math.inf) or not self._notes.take(now):
+            return
+        known[_NOTED_UNTIL] = now + _NOTE_PAUSE
+        seen = error.seen if isinstance(error, M100Error) else str(error)
+        more = f" ({count} refused so far)" if count > 1 else ""
+        self._agent.note(f"{client.name} is refused: {seen}{more}", "warning")
 
     def admits(self, client: GraphListener) -> bool:
         """Whether the client may order one more thing now; it hears when it may not.

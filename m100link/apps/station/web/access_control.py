@@ -148,12 +148,15 @@ class AccessControl:
         # Pages that may connect, such as ``http://127.0.0.1:8000``; ``null`` is a page opened from
         # a file, and any sandboxed frame of any page.
         origins: Iterable[str] = (),
+        # Ports on which this station serves pages: a page of one may connect to another.
+        own_ports: Iterable[int] = (),
         # When set, nothing works without the token or what stands for it.
         access: Access | None = None,
     ) -> None:
         self._app = app
         self._hosts = {*_LOOPBACK, *(host.lower() for host in hosts)}
         self._origins = {origin.rstrip("/").lower() for origin in origins}
+        self._own_ports = frozenset(map(str, own_ports))
         self.access = access
         self.refused = 0  # requests turned away
         self._log = SparingLogger(logging.getLogger(__name__))
@@ -193,9 +196,13 @@ class AccessControl:
 
     def _is_welcome(self, origin: str, host: str, scope: Scope) -> bool:
         origin = origin.lower()
-        if origin in self._origins:
+        scheme = "https" if _is_secure(scope) else "http"
+        if origin in self._origins or origin == f"{scheme}://{host.lower()}":
             return True
-        return origin == f"{'https' if _is_secure(scope) else 'http'}://{host.lower()}"
+        begin, _, rest = origin.partition("://")
+        name, _, port = rest.rpartition(":")
+        is_ours = begin == scheme and host_of(rest) == name and name in self._hosts
+        return is_ours and port in self._own_ports
 
 
 def _headers(scope: Scope) -> dict[str, list[str]]:

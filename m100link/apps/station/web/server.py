@@ -100,7 +100,8 @@ class RosbridgeServer:
         return next(iter(self.agents.values()))
 
     def app(self, settings: Settings) -> AccessControl:
-        return settings.gate(self._app)
+        # A page of DJI's has one port in it, and is served on each of rosbridge.
+        return settings.gate(self._app, (settings.port, *settings.also_ports))
 
     async def _greet(self, request: Request) -> Response:
         return PlainTextResponse("m100link station: rosbridge v2 on this port, by WebSocket.\n")

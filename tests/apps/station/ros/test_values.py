@@ -148,6 +148,35 @@ ORIENTATION = xyz(*_XYZ) | {"w": close(_W)}
 ZEROS = [0.0] * 9
 """A covariance that nobody knows."""
 
+# JSON has no NaN: what is not known is null.
+BATTERY: dict[str, Any] = {
+    "header": header(""),
+    **dict.fromkeys(("voltage", "current", "charge", "capacity", "design_capacity")),
+    **dict.fromkeys(("power_supply_status", "power_supply_health"), 0),
+    "power_supply_technology": 0,
+    "present": True,
+    "cell_voltage": [],
+    "location": "",
+    "serial_number": "",
+}
+
+PUBLISHED_2016 = {
+    f"/dji_sdk/{one}"
+    for one in (
+        *("time_stamp", "attitude_quaternion", "global_position", "local_position", "velocity"),
+        *("acceleration", "odometry", "gimbal", "rc_channels", "compass", "power_status"),
+        *("flight_control_info", "activation", "data_received_from_remote_device"),
+        *("A3_GPS", "A3_RTK"),
+    )
+}
+SERVICES_2016 = {
+    *("attitude_control", "velocity_control", "local_position_control", "version_check"),
+    *("global_position_control", "virtual_rc_enable_control", "virtual_rc_data_control"),
+    *("sync_flag_control", "message_frequency_control", "send_data_to_remote_device"),
+    *("mission_followme_upload", "mission_followme_set_target"),
+}
+"""Of the node of 2016: the values are in ``test_node_2016.py``."""
+
 PUBLISHED: dict[str, dict[str, Any]] = {
     "/dji_sdk/attitude": {"header": header("body_FLU"), "quaternion": ORIENTATION},
     "/dji_sdk/imu": {
@@ -197,18 +226,9 @@ PUBLISHED: dict[str, dict[str, Any]] = {
     # Roll, pitch, yaw in degrees.
     "/dji_sdk/gimbal_angle": {"header": header("ground_ENU"), "vector": xyz(4.5, -37.25, 118.75)},
     "/dji_sdk/flight_status": {"data": 3},
-    # JSON has no NaN: what is not known is null. 0 to 1, where DJI's node has 0 to 100.
-    "/dji_sdk/battery_state": {
-        "header": header(""),
-        "percentage": close(0.63),
-        **dict.fromkeys(("voltage", "current", "charge", "capacity", "design_capacity")),
-        **dict.fromkeys(("power_supply_status", "power_supply_health"), 0),
-        "power_supply_technology": 0,
-        "present": True,
-        "cell_voltage": [],
-        "location": "",
-        "serial_number": "",
-    },
+    # 0 to 100, as DJI's node has it, and 0 to 1, as the standard has it.
+    "/dji_sdk/battery_state": {"percentage": close(63.0)} | BATTERY,
+    "/m100link/battery_state": {"percentage": close(0.63)} | BATTERY,
     "/dji_sdk/from_mobile_data": {"data": base64.b64encode(b"\x01\xfe\x80").decode()},
     # As the push 0x02/0x03: kind 1 is a waypoint mission; target, status.
     "/dji_sdk/mission_status": {"type": 1, "data_1": 3, "data_2": 6}
@@ -273,9 +293,8 @@ def agree(found: Any, expected: Any, path: str = "", *, is_whole: bool = True) -
 
 def test_the_table_has_every_topic() -> None:
     rig = run(lambda _: anyio.sleep(0.0))
-    assert {name for name, one in rig.graph.topics.items() if one.on_publish is None} == set(
-        PUBLISHED
-    )
+    there = {one.name for one in rig.graph.all_topics() if one.on_publish is None}
+    assert {one for one in there if "_action/" not in one} == PUBLISHED.keys() | PUBLISHED_2016
 
 
 @pytest.mark.parametrize("name", PUBLISHED)
@@ -302,12 +321,16 @@ def test_what_is_reported_of_an_aircraft_whose_numbers_all_differ(name: str) -> 
         (RemoteControl, {"rc"}),
         (Gimbal, {"gimbal_angle"}),
         (FlightStatus, {"flight_status"}),
-        (Battery, {"battery_state"}),
     ],
 )
 def test_what_a_package_has_not_is_not_reported(record: type[Any], silent: set[str]) -> None:
     found = told((record,))
     assert PUBLISHED.keys() - found.keys() == {f"/dji_sdk/{one}" for one in silent}
+
+
+def test_a_package_without_a_battery_tells_none() -> None:
+    names = {"/dji_sdk/battery_state", "/m100link/battery_state"}
+    assert PUBLISHED.keys() - told((Battery,)).keys() == names
 
 
 def test_without_a_control_byte_there_is_none() -> None:
@@ -466,6 +489,12 @@ JOYS: list[tuple[str, list[float], tuple[float, ...]]] = [
     (GENERIC, [1.5, 2.5, 20.5, 0.5, 0x5A], (0x5A, 1.5, -2.5, 20.5, CLOCKWISE)),
     (GENERIC, [1.5, 2.5, 0.75, 0.5, 0x8A], (0x8A, 1.5, -2.5, 0.75, CLOCKWISE)),
     (GENERIC, [0.2, 0.1, 55.5, 0.5, 0x2A], (0x2A, 11.45916, -5.72958, 55.5, CLOCKWISE)),
+    # DJI's node reads four axes, whatever follows. Of three it reads a yaw behind the message:
+    # here the nose stays, by a rate of zero.
+    ("ENUvelocity_yawrate", [1.5, 2.5, 0.75, 0.5, 9.0], (0x48, 2.5, 1.5, 0.75, CLOCKWISE)),
+    ("ENUvelocity_yawrate", [1.5, 2.5, 0.75], (0x48, 2.5, 1.5, 0.75, 0.0)),
+    ("ENUposition_yaw", [1.5, 2.5, 20.5], (0x98, 2.5, 1.5, 20.5, 0.0)),
+    ("rollpitch_yawrate_zposition", [0.2, 0.1, 20.5], (0x1A, 11.45916, -5.72958, 20.5, 0.0)),
     # Tilt is of the body, whatever the flag says.
     (GENERIC, [0.2, 0.1, 0.75, 0.5, 0x08], (0x0A, 11.45916, -5.72958, 0.75, CLOCKWISE)),
 ]
@@ -484,8 +513,9 @@ def test_a_joy_is_flown_with_its_signs_in_its_frame(
 @pytest.mark.parametrize(
     ("name", "axes"),
     [
-        ("ENUvelocity_yawrate", [1.0, 2.0, 0.5]),
-        ("ENUvelocity_yawrate", [1.0, 2.0, 0.5, 0.5, 0.5]),
+        ("ENUvelocity_yawrate", [1.0, 2.0]),
+        ("ENUposition_yaw", []),
+        (GENERIC, [1.0, 2.0, 0.5]),
         ("ENUvelocity_yawrate", [10.5, 2.0, 0.5, 0.5]),
         ("ENUvelocity_yawrate", [1.0, -10.5, 0.5, 0.5]),
         ("ENUvelocity_yawrate", [1.0, 2.0, 4.5, 0.5]),
@@ -728,15 +758,24 @@ def test_data_goes_to_the_app_as_they_are() -> None:
     assert ask.order == orders.SendToMobile(b"\x01\xfe\x80")
 
 
-def test_a_version_is_its_four_numbers() -> None:
+@pytest.mark.parametrize(
+    ("text", "version", "hardware"),
+    [
+        # What aircraft say, and what DJI's library makes of it: the M100's third number times ten.
+        ("SDK-v1.0 BETA M100-03.01.01.00", 0x03010A00, "M100"),
+        ("SDK-v1.0 BETA M100-02.03.10.00", 0x02036400, "M100"),
+        ("SDK-v1.0 BETA A3-03.01.100.00", 0x03016400, "A3"),
+        ("", 0, ""),
+        ("strange", 0, ""),
+        ("M100-1.2.x", 0x01020000, "M100"),
+    ],
+)
+def test_a_version_is_as_the_later_node_tells_it(text: str, version: int, hardware: str) -> None:
     async def do(rig: KnownRig, page: FakeClient) -> None:
-        rig.known.version = "SDK-v1.0 BETA M100-03.01.10.00"
+        rig.known.version = text
         page.call("/dji_sdk/query_drone_version")
 
-    assert flying(do).page.answers()[-1] == {
-        "version": 0x03010A00,
-        "hardware": "SDK-v1.0 BETA M100-03.01.10.00",
-    }
+    assert flying(do).page.answers()[-1] == {"version": version, "hardware": hardware}
 
 
 # Tenths of a degree and of a second, in 3.1; radians and seconds in the topics of 2018.
@@ -950,4 +989,4 @@ def test_the_tables_have_every_service() -> None:
         *(f"mission_hotpoint_{one}" for one in ("upload", "getInfo", "download")),
         "mission_waypoint_get_speed",
     }
-    assert {name for name, *_ in ASKED} | with_values == there
+    assert {name for name, *_ in ASKED} | with_values | SERVICES_2016 == there

@@ -132,6 +132,35 @@ async def test_pages_of_the_station_itself_get_in() -> None:
     assert not await Visit().ask(HERE, ("origin", "http://127.0.0.1:9090"), tls=True)
 
 
+@pytest.mark.parametrize(
+    ("origin", "gets_in"),
+    [
+        # DJI's page of 2016 has port 19871 in it, and is served on 9090.
+        ("http://127.0.0.1:9090", True),
+        ("http://localhost:9090", True),
+        ("http://LOCALHOST:19871", True),
+        ("http://[::1]:9090", True),
+        ("http://field-laptop:9090", True),
+        ("http://localhost:9091", False),
+        ("http://localhost", False),
+        ("http://localhost:090909", False),
+        ("http://localhost:9090:9090", False),
+        ("http://localhost:9090/", False),
+        ("http://x@localhost:9090", False),
+        ("http://localhost.evil.example:9090", False),
+        ("http://evil.example:9090", False),
+        ("https://localhost:9090", False),
+        ("localhost:9090", False),
+        ("://:9090", False),
+    ],
+)
+async def test_a_page_of_one_port_of_rosbridge_connects_to_another(
+    origin: str, gets_in: bool
+) -> None:
+    visit = Visit(hosts=["field-laptop"], own_ports=(9090, 19871))
+    assert await visit.ask(("host", "localhost:19871"), ("origin", origin)) == gets_in
+
+
 async def test_pages_allowed_by_name_get_in_and_null_is_such_a_name() -> None:
     options = {"origins": ["http://127.0.0.1:8000/", "null"], "hosts": ["Field-Laptop"]}
     assert await Visit(**options).ask(HERE, ("origin", "http://127.0.0.1:8000"))

@@ -1,0 +1,180 @@
+"""Action servers as actionlib has them: five topics each, and one goal at a time.
+
+Any client may send a goal; what flies does so under the control session of that client. The newest
+goal wins. A goal that is cancelled, replaced, or whose client leaves ends in a hover.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
+from enum import IntEnum
+from functools import partial
+from itertools import count
+from typing import Any
+
+from m100link.apps.agent.client import AgentClient
+from m100link.apps.station.ros.graph import Graph, GraphListener, stamped
+from m100link.apps.station.ros.leases import Clients
+from m100link.apps.station.ros.messages import Message, present
+from m100link.errors import M100Error
+
+_STATUS_S = 0.2  # actionlib tells the states of goals at 5 Hz
+_KEPT = 16  # goals that are over and still told
+_KEPT_S = 5.0
+
+Tell = Callable[..., None]
+"""Publishes the feedback of a goal: its fields by name."""
+
+Work = Callable[[GraphListener, Message, Tell], Awaitable[None]]
+"""Carries a goal out, for that client. Raises ``M100Error``: it ended otherwise."""
+
+
+class GoalState(IntEnum):
+    """Numbers of actionlib_msgs/GoalStatus."""
+
+    PENDING = 0
+    ACTIVE = 1
+    PREEMPTED = 2
+    SUCCEEDED = 3
+    ABORTED = 4
+    REJECTED = 5
+
+
+@dataclass(eq=False, slots=True)
+class _Goal:
+    client: GraphListener
+    identity: Message
+    value: Message
+    state: GoalState = GoalState.PENDING
+    text: str = ""
+    ended_at: float | None = None
+    why: str = ""  # it is ended from here
+    task: asyncio.Task[None] | None = None
+
+    @property
+    def status(self) -> Message:
+        return {"goal_id": self.identity, "status": int(self.state), "text": self.text}
+
+
+class ActionServer:
+    """``name/goal``, ``cancel``, ``status``, ``feedback`` and ``result``."""
+
+    def __init__(
+        self,
+        agent: AgentClient,
+        graph: Graph,
+        clients: Clients,
+        name: str,
+        kind: str,  # package and name of the action, without ``Action``
+        work: Work,
+    ) -> None:
+        self._agent, self._graph, self._clients, self._work = agent, graph, clients, work
+        self._name, self._numbers = name, count(1)
+        self._goals: deque[_Goal] = deque(maxlen=_KEPT)
+        self._newest: _Goal | None = None
+        graph.add_topic(f"{name}/goal", f"{kind}ActionGoal", self._on_goal)
+        graph.add_topic(f"{name}/cancel", "actionlib_msgs/GoalID", self._on_cancel)
+        self._status = graph.add_topic(f"{name}/status", "actionlib_msgs/GoalStatusArray")
+        self._feedback = graph.add_topic(f"{name}/feedback", f"{kind}ActionFeedback")
+        self._result = graph.add_topic(f"{name}/result", f"{kind}ActionResult")
+        graph.on_leave.append(self._left)
+        agent.background.spawn(self._keep_telling(), f"{name} status")
+
+    # -- what clients hear -----------------------------------------------------------------------
+
+    async def _keep_telling(self) -> None:
+        while True:
+            await asyncio.sleep(_STATUS_S)
+            self._tell_status()
+
+    def _tell_status(self) -> None:
+        now = self._agent.now
+        while self._goals and now - (self._goals[0].ended_at or now) > _KEPT_S:
+            self._goals.popleft()
+        if self._status.subscribers:
+            told = {"header": stamped(""), "status_list": [one.status for one in self._goals]}
+            self._graph.publish(self._status, told, now)
+
+    def _tell(self, goal: _Goal, part: str, **values: Any) -> None:
+        topic = self._feedback if part == "feedback" else self._result
+        message = topic.type.default()
+        message |= {"header": stamped(""), "status": goal.status, part: message[part] | values}
+        self._graph.publish(topic, message, self._agent.now)
+
+    def _end(self, goal: _Goal, state: GoalState, text: str = "") -> None:
+        goal.state, goal.text, goal.ended_at = state, text, self._agent.now
+        self._tell_status()
+        self._tell(goal, "result", result=state is GoalState.SUCCEEDED)
+
+    # -- what clients ask ------------------------------------------------------------------------
+
+    def _on_goal(self, client: GraphListener, message: Message, now: float) -> None:
+        identity = dict(message["goal_id"])
+        identity["id"] = identity["id"][:256] or f"{self._name}-{next(self._numbers)}"
+        if not any(identity["stamp"].values()):
+            identity["stamp"] = present()
+        goal, before = _Goal(client, identity, message["goal"]), self._newest
+        self._goals.append(goal)
+        if not self._clients.admits(client):
+            self._end(goal, GoalState.REJECTED, "more orders than one client may give")
+            return
+        self._newest = goal
+        self._tell_status()
+        if before is not None:
+            self._cancel(before, "a newer goal came")
+        work = self._run(goal, None if before is None else before.task)
+        goal.task = self._agent.background.spawn(work, f"{self._name} for {client.name}")
+        goal.task.add_done_callback(partial(self._over, goal))
+
+    async def _run(self, goal: _Goal, before: asyncio.Task[None] | None) -> None:
+        try:
+            if before is not None:
+                await asyncio.wait({before})  # its hover goes out first
+            goal.state = GoalState.ACTIVE
+            self._tell_status()
+            await self._work(
+                goal.client, goal.value, lambda **values: self._tell(goal, "feedback", **values)
+            )
+        except M100Error as error:
+            self._end(goal, GoalState.ABORTED, str(error))
+            goal.client.status("error", f"{self._name}: {error}")
+        except asyncio.CancelledError:
+            # With the lease it was this client's flight that was under way, or a pause in it.
+            if self._clients.session(goal.client).has_lease:
+                self._agent.hover(f"{goal.client.name}: {goal.why or 'the station ends'}")
+            raise
+        else:
+            self._end(goal, GoalState.SUCCEEDED)
+
+    def _over(self, goal: _Goal, _: object) -> None:
+        if goal.ended_at is None:  # it may have been cancelled before it began
+            self._end(goal, GoalState.PREEMPTED, goal.why)
+
+    def _on_cancel(self, client: GraphListener, message: Message, now: float) -> None:
+        """A goal by its id; all of them without id and stamp; those before a stamp alone."""
+        for goal in list(self._goals):
+            stamp, until = (_seconds(one["stamp"]) for one in (goal.identity, message))
+            is_named = goal.identity["id"] == message["id"]
+            if is_named or (not message["id"] and (not until or stamp <= until)):
+                self._cancel(goal, "it was cancelled")
+
+    def cancel_all(self, why: str) -> None:
+        for goal in self._goals:
+            self._cancel(goal, why)
+
+    def _left(self, client: GraphListener, now: float) -> None:
+        for goal in self._goals:
+            if goal.client is client:
+                self._cancel(goal, "its client has gone")
+
+    def _cancel(self, goal: _Goal, why: str) -> None:
+        if goal.task is not None and not goal.task.done():
+            goal.why = goal.why or why
+            goal.task.cancel()
+
+
+def _seconds(stamp: Message) -> float:
+    return float(stamp["secs"] + stamp["nsecs"] * 1e-9)
