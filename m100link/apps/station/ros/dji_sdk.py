@@ -25,7 +25,12 @@ from m100link.errors import GuardRefused, M100Error, UsageError
 from m100link.geodesy import LocalFrame
 from m100link.log.ros2 import DJI_TOPICS, DjiTopic, battery_state, joy_move
 from m100link.protocol.commands.control import Arm
-from m100link.protocol.commands.gimbal import GimbalAngle, GimbalAngleMode, GimbalSpeed
+from m100link.protocol.commands.gimbal import (
+    GIMBAL_LIMITS_DEG,
+    GimbalAngle,
+    GimbalAngleMode,
+    GimbalSpeed,
+)
 from m100link.protocol.firmware import FIRMWARE_3_1
 from m100link.protocol.records import Position
 from m100link.protocol.setpoint import Setpoint
@@ -294,10 +299,15 @@ class PayloadTopics:
         for axis, bit in _KEPT.items():
             if asked[f"{axis}_cmd_ignore"]:
                 mode |= bit
+        # DJI's demo asks for 180°: the gimbal goes as far as it can.
+        yaw, roll, pitch = (
+            max(low, min(high, asked[axis] / 10.0))
+            for axis, (low, high) in GIMBAL_LIMITS_DEG.items()
+        )
         command = GimbalAngle(
-            yaw_deg=asked["yaw"] / 10.0,
-            roll_deg=asked["roll"] / 10.0,
-            pitch_deg=asked["pitch"] / 10.0,
+            yaw_deg=yaw,
+            roll_deg=roll,
+            pitch_deg=pitch,
             mode=mode,
             duration_s=max(_SHORTEST_S, asked["duration"] / 10.0),
         )

@@ -55,6 +55,7 @@ class MissionTopics:
             ("mission_hotpoint_updateRadius", "MissionHpUpdateRadius", self._set_radius),
             ("mission_hotpoint_updateYawRate", "MissionHpUpdateYawRate", self._set_rate),
             ("mission_hotpoint_resetYaw", "MissionHpResetYaw", self._reset_heading),
+            ("mission_status", "MissionStatus", self._count),
             ("mission_start", "MissionStart", self._start),
             ("mission_pause", "MissionPause", self._pause),
             ("mission_cancel", "MissionCancel", self._cancel),
@@ -138,6 +139,15 @@ class MissionTopics:
 
     async def _cancel(self, call: ServiceCall) -> Message:
         return await self._clients.order(call, orders.StopMission())
+
+    async def _count(self, call: ServiceCall) -> Message:
+        """How many missions wait for this client's start, by kind."""
+        has_circle = self._graph.known(call.session).get(_CIRCLE) is not None
+        waypoints = bool(self._clients.session(call.session).uploaded)
+        return {
+            "waypoint_mission_count": int(waypoints),
+            "hotpoint_mission_count": int(has_circle),
+        }
 
     async def _info(self, call: ServiceCall) -> Message:
         return {"waypoint_task": self._uploaded()}

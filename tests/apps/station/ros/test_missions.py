@@ -466,3 +466,17 @@ async def test_a_circle_by_the_names_of_that_node(rig: Rig) -> None:
     assert await answer(rig, page, "mission_pause", pause=1) == done
     assert await answer(rig, page, "mission_cancel") == done
     await rig.until(lambda: rig.front.state.mission == "no mission")
+
+
+async def test_a_client_is_told_how_many_of_its_plans_wait(rig: Rig) -> None:
+    page, other = await rig.airborne(), rig.client("other")
+    counts = ("waypoint_mission_count", "hotpoint_mission_count")
+    for asked, expected in ((None, (0, 0)), ("hotpoint", (0, 1)), ("waypoint", (1, 1))):
+        if asked == "hotpoint":
+            await answer(rig, page, "mission_hotpoint_upload", hotpoint_task=circle(rig))
+        elif asked == "waypoint":
+            await upload(rig, page)
+        found = await answer(rig, page, "mission_status")
+        assert tuple(found[name] for name in counts) == expected
+    found = await answer(rig, other, "mission_status")
+    assert tuple(found[name] for name in counts) == (0, 0)

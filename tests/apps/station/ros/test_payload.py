@@ -190,7 +190,6 @@ async def test_the_services_of_the_node_for_3_1_take_tenths(rig: Rig) -> None:
 @pytest.mark.parametrize(
     ("service", "values", "words"),
     [
-        ("gimbal_angle_control", {"pitch": 450}, "pitch"),
         ("gimbal_angle_control", {"duration": 300}, "duration"),
         ("gimbal_speed_control", {"roll_rate": 1801}, "roll speed"),
     ],
@@ -202,6 +201,24 @@ async def test_those_services_refuse_what_the_gimbal_does_not_have(
     assert failed["result"] is False
     assert words in failed["values"]
     assert sent(rig, GimbalAngle) == sent(rig, GimbalSpeed) == []
+
+
+@pytest.mark.parametrize(
+    ("asked", "turned"),
+    [
+        # DJI's demo of 2016 asks for 180° up and down.
+        ({"pitch": 1800}, (0, 0, 300)),
+        ({"pitch": -1800}, (0, 0, -900)),
+        ({"roll": 400, "yaw": -3300}, (-3200, 350, 0)),
+    ],
+)
+async def test_the_service_of_2016_turns_as_far_as_the_gimbal_can(
+    rig: Rig, asked: dict[str, int], turned: tuple[int, int, int]
+) -> None:
+    assert await answer(rig, rig.client(), "gimbal_angle_control", **asked) == {"result": True}
+    [angles] = sent(rig, GimbalAngle)
+    raw = angles.raw()
+    assert (raw["yaw"], raw["roll"], raw["pitch"]) == turned
 
 
 async def test_those_services_leave_the_camera_to_the_flying_client(rig: Rig) -> None:

@@ -987,6 +987,6 @@ def test_the_tables_have_every_service() -> None:
         *("gimbal_angle_control", "gimbal_speed_control"),
         *(f"mission_waypoint_{one}" for one in ("upload", "getInfo", "getSpeed", "download")),
         *(f"mission_hotpoint_{one}" for one in ("upload", "getInfo", "download")),
-        "mission_waypoint_get_speed",
+        *("mission_waypoint_get_speed", "mission_status"),
     }
     assert {name for name, *_ in ASKED} | with_values | SERVICES_2016 == there
