@@ -1,7 +1,8 @@
 """Action servers as actionlib has them: five topics each, and one goal at a time.
 
 Any client may send a goal; what flies does so under the control session of that client. The newest
-goal wins. A goal that is cancelled, replaced, or whose client leaves ends in a hover.
+goal wins. A goal that is cancelled, replaced, or whose client leaves ends in a hover. A STOP
+overtakes each step of the goals that came before it.
 """
 
 from __future__ import annotations
@@ -15,14 +16,14 @@ from functools import partial
 from itertools import count
 from typing import Any
 
-from m100link.apps.agent.client import AgentClient
+from m100link.apps.agent.client import PRESSED_AT, AgentClient
 from m100link.apps.station.ros.graph import Graph, GraphListener, stamped
 from m100link.apps.station.ros.leases import Clients
 from m100link.apps.station.ros.messages import Message, present
 from m100link.errors import M100Error
 
 _STATUS_S = 0.2  # actionlib tells the states of goals at 5 Hz
-_KEPT = 16  # goals that are over and still told
+_KEPT = 16  # goals that are over and still in the status
 _KEPT_S = 5.0
 
 Tell = Callable[..., None]
@@ -48,6 +49,7 @@ class _Goal:
     client: GraphListener
     identity: Message
     value: Message
+    asked_at: float  # s; a STOP since then overtakes each of its steps
     state: GoalState = GoalState.PENDING
     text: str = ""
     ended_at: float | None = None
@@ -95,8 +97,8 @@ class ActionServer:
         while self._goals and now - (self._goals[0].ended_at or now) > _KEPT_S:
             self._goals.popleft()
         if self._status.subscribers:
-            told = {"header": stamped(""), "status_list": [one.status for one in self._goals]}
-            self._graph.publish(self._status, told, now)
+            message = {"header": stamped(""), "status_list": [one.status for one in self._goals]}
+            self._graph.publish(self._status, message, now)
 
     def _tell(self, goal: _Goal, part: str, **values: Any) -> None:
         topic = self._feedback if part == "feedback" else self._result
@@ -116,7 +118,7 @@ class ActionServer:
         identity["id"] = identity["id"][:256] or f"{self._name}-{next(self._numbers)}"
         if not any(identity["stamp"].values()):
             identity["stamp"] = present()
-        goal, before = _Goal(client, identity, message["goal"]), self._newest
+        goal, before = _Goal(client, identity, message["goal"], now), self._newest
         self._goals.append(goal)
         if not self._clients.admits(client):
             self._end(goal, GoalState.REJECTED, "more orders than one client may give")
@@ -130,6 +132,7 @@ class ActionServer:
         goal.task.add_done_callback(partial(self._over, goal))
 
     async def _run(self, goal: _Goal, before: asyncio.Task[None] | None) -> None:
+        PRESSED_AT.set(goal.asked_at)
         try:
             if before is not None:
                 await asyncio.wait({before})  # its hover goes out first
@@ -143,8 +146,8 @@ class ActionServer:
             goal.client.status("error", f"{self._name}: {error}")
         except asyncio.CancelledError:
             # With the lease it was this client's flight that was under way, or a pause in it.
-            if self._clients.session(goal.client).has_lease:
-                self._agent.hover(f"{goal.client.name}: {goal.why or 'the station ends'}")
+            if lease := self._clients.session(goal.client).lease:
+                self._agent.hover(f"{goal.client.name}: {goal.why or 'the station ends'}", lease)
             raise
         else:
             self._end(goal, GoalState.SUCCEEDED)

@@ -76,9 +76,10 @@ class Clients:
         """
         session = self.session(client)
         if on:
+            asked_at = self._agent.asked_at
             if activates and not self._agent.state.is_activated:
                 await session.ask(orders.Activate())
-            await session.obtain()
+            await session.obtain(asked_at=asked_at)
             return
         if session.is_changing:
             session.let_go()  # the request under way ends by that, and may wait for long

@@ -23,7 +23,7 @@ from functools import partial
 from typing import Any
 
 from m100link.apps.agent import orders
-from m100link.apps.agent.client import AgentClient
+from m100link.apps.agent.client import PRESSED_AT, AgentClient
 from m100link.apps.station.ros.actions import ActionServer, Tell
 from m100link.apps.station.ros.graph import Graph, GraphListener, ServiceCall
 from m100link.apps.station.ros.leases import TASKS, Clients
@@ -194,7 +194,7 @@ _ARE_SILENT = {"A3_GPS": "A3GPS", "A3_RTK": "A3RTK"}  # an A3 has these; the M10
 
 
 class Node2016:
-    """What the node of 2016 has beside the telemetry of :data:`TOPICS`."""
+    """The node of 2016 without the telemetry of :data:`TOPICS`."""
 
     def __init__(self, agent: AgentClient, graph: Graph, clients: Clients) -> None:
         self._agent, self._graph, self._clients = agent, graph, clients
@@ -459,7 +459,7 @@ class WebGroundStation:
     ) -> None:
         self._agent, self._clients, self._fly = agent, clients, fly
         self._number = 0  # of the task that waits or flies
-        self._started = asyncio.Event()
+        self._started: asyncio.Future[float] | None = None  # when its start was pressed, s
         name = f"{_WEB}/web_waypoint_receive_action"
         kind = f"{_WEB[1:]}/WebWaypointReceive"
         self._server = ActionServer(agent, graph, clients, name, kind, self._work)
@@ -477,15 +477,17 @@ class WebGroundStation:
         elif code == _NEWER and not is_ours:
             self._server.cancel_all("newer waypoints come")
         elif code == _START and is_ours:
-            self._started.set()
+            if self._started is not None and not self._started.done():
+                self._started.set_result(now)
         elif code != _NEWER:
             why = f"command {code} does nothing here: 115 (start) of the newest upload, 99 (cancel)"
             self._clients.complain(client, UsageError(why))
 
     async def _work(self, client: GraphListener, goal: Message, tell: Tell) -> None:
-        self._number, self._started = goal["tid"], asyncio.Event()
+        self._number = goal["tid"]
+        self._started = asyncio.get_running_loop().create_future()
         tell(stage=_WAITING)
-        await self._started.wait()
+        PRESSED_AT.set(await self._started)
         tell(stage=_UNDER_WAY)
         session = self._clients.session(client)
         if self._agent.view.is_on_ground is True:

@@ -148,6 +148,38 @@ async def test_however_a_flight_ends_the_aircraft_hovers(rig: Rig, end: Any) -> 
         assert results(watcher, LOCAL)[1] == ("elsewhere", ABORTED, False)
 
 
+async def test_a_newer_goal_is_flown_behind_the_hover_of_the_one_before(rig: Rig) -> None:
+    client = await flying(rig, LOCAL)
+    send(client, LOCAL, "far", x=60.0, y=0.0, z=5.0)
+    await rig.until(lambda: rig.aircraft.position[0] > 5.0)
+    send(client, LOCAL, "back", x=2.0, y=0.0, z=5.0)
+    await rig.until(lambda: len(results(client, LOCAL)) == 2)
+    assert results(client, LOCAL) == [("far", PREEMPTED, False), ("back", SUCCEEDED, True)]
+    assert rig.aircraft.position == pytest.approx((2.0, 0.0), abs=0.6)
+
+
+async def test_behind_a_stop_no_goal_of_before_goes_on_and_a_new_one_flies_anew(rig: Rig) -> None:
+    client = await flying(rig, WAYPOINTS)
+    stays = waypoints((2.0, 0.0, 3.0, 0, 10), (9.0, 0.0, 3.0, 0, 0))
+    send(client, WAYPOINTS, "stays", waypoint_list=stays)
+    await rig.until(lambda: rig.aircraft.position[0] > 1.5)
+    await anyio.sleep(2.0)  # it waits at the first one, between two orders
+    watcher = rig.client("watcher")
+    watcher.call("/m100link/stop")
+    await rig.until(lambda: bool(watcher.answers()))
+    listen(client, LOCAL)
+    send(client, LOCAL, "unheard", x=9.0, y=0.0, z=3.0)
+    await rig.until(lambda: bool(results(client, LOCAL)))
+    assert results(client, LOCAL) == [("unheard", ABORTED, False)]
+    client.call("/dji_sdk/sdk_control_authority", control_enable=1)  # it begins anew
+    await rig.until(lambda: bool(results(client, WAYPOINTS)), within=20.0)
+    assert results(client, WAYPOINTS) == [("stays", ABORTED, False)]
+    assert rig.aircraft.position[0] == pytest.approx(2.0, abs=0.6)
+    send(client, LOCAL, "anew", x=5.0, y=0.0, z=3.0)
+    await rig.until(lambda: len(results(client, LOCAL)) == 2)
+    assert results(client, LOCAL)[1] == ("anew", SUCCEEDED, True)
+
+
 async def test_a_stay_at_a_waypoint_can_be_cancelled(rig: Rig) -> None:
     client = await flying(rig, WAYPOINTS)
     send(client, WAYPOINTS, "long", waypoint_list=waypoints((2.0, 0.0, 3.0, 0, 60000)))
@@ -257,6 +289,22 @@ async def test_djis_map_page_takes_off_and_flies_its_waypoints(rig: Rig) -> None
     assert results(page, WEB) == [("goal_1", SUCCEEDED, True)]
     assert rig.aircraft.position == pytest.approx((5.0, 5.0), abs=0.6)
     assert set(stages(page)) == {1, 2}
+
+
+async def test_a_start_counts_from_its_press(rig: Rig) -> None:
+    """A STOP behind the upload ends with control asked for anew; one behind the start does not."""
+    page = await uploaded(rig)
+    await rig.agent.stop()
+    page.publish(f"{PAGE}/map_nav_srv/ctrl", data=True)
+    await anyio.sleep(0.5)
+    command(page, "s")
+    await rig.until(lambda: rig.aircraft.height > 0.3)
+    await rig.agent.stop()
+    page.publish(f"{PAGE}/map_nav_srv/ctrl", data=True)
+    await rig.until(lambda: bool(results(page, WEB)))
+    assert results(page, WEB) == [("goal_1", ABORTED, False)]
+    await anyio.sleep(10.0)
+    assert rig.aircraft.position == pytest.approx((0.0, 0.0), abs=0.5)
 
 
 async def test_a_start_of_other_waypoints_starts_nothing(rig: Rig) -> None:
