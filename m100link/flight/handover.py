@@ -151,6 +151,10 @@ def _obstacles(state: AircraftState, firmware: FirmwareProfile) -> list[tuple[st
         found.append(("IOC is on", "turn IOC off in the DJI app"))
     if device is None:
         found.append(app)
+    if not firmware.needs_f_toggle:
+        found.append(
+            ("a mission of the app holds control", "move the mode switch to P and back to F")
+        )
     return found
 
 

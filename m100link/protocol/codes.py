@@ -109,8 +109,8 @@ class ActivationCode(AckCode):
     NEW_DEVICE = (
         3,
         "first activation of this aircraft; it is asking DJI's server",
-        "normal on a new aircraft or with a new app id",
-        "keep the DJI app connected, with internet, and try again after some seconds",
+        "normal on a new aircraft or app id; if it stays: no internet at the phone, or no login",
+        "open the DJI app, log in, give it internet, and try again after some seconds",
     )
     APP_NOT_CONNECTED = (
         4,
@@ -171,7 +171,7 @@ class AuthorityCode(AckCode):
     NOT_CHANGED = (
         0x0003,
         "authority did not change (firmware 1.0), or obtaining is in progress (2.3, 3.1)",
-        "mode switch not in F, F since power-on without a toggle, or the mobile app holds control",
+        "mode switch not in F, F since power-on without a toggle, the app or its mission controls",
         "move the mode switch out of F and back; let the mobile app release control",
     )
     RELEASING = 0x0004, "releasing is in progress"
@@ -285,8 +285,8 @@ class MissionCode(AckCode):
     TOO_FAR_FROM_HOME = (
         0xC7,
         "farther from home than the radius limit",
-        "the limit of the DJI app; about 50 m where nobody ever logged in",
-        "plan nearer to home, or raise the limit in the DJI app",
+        "the app's flight radius: 500 m is usual, even where it is off; 50 m without any login",
+        "plan nearer to home, or raise the radius in the DJI app",
     )
     NOT_SUPPORTED = 0xC8, "this mission is not supported", "a firmware without it"
     TOO_FAR_AWAY = (
