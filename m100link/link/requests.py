@@ -190,8 +190,13 @@ class Requests:
         ``timeout``: seconds; by default 15 for an aircraft that is heard, which takes 3 s by a
         cable and 8 s by a network. It is one question under one number, repeated: an answer counts
         however late it comes. Raises ``SilentLine, NoValidFrame, NoAnswer``: no aircraft; each
-        names the cause. Raises ``LinkError, BadAck``: see each class.
+        names the cause. Raises ``UsageError``: no such time. Raises ``LinkError, BadAck``: see each
+        class.
         """
+        if timeout is not None and not 0.0 < timeout < math.inf:
+            raise UsageError(
+                f"no aircraft can answer within {timeout} s", remedy="give seconds, above 0"
+            )
         loop = asyncio.get_running_loop()
         began_at = loop.time()
         longest = LONGEST_S if timeout is None else timeout

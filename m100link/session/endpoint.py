@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import OrderedDict, deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -371,7 +372,7 @@ class Sender:
         """
         if mode is SessionMode.NO_ACK:
             raise UsageError("a request needs an ack", remedy="use push() on session 0")
-        if timeout <= 0 or tries < 1:
+        if not 0 < timeout < math.inf or tries < 1:
             raise UsageError(f"{tries} tries of {timeout} s make no request")
         if mode is SessionMode.ACK_ONCE and tries != 1:
             raise UsageError(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import copy
+import math
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -177,6 +178,15 @@ async def test_frames_without_an_answer_point_to_the_other_wire() -> None:
     assert caught.value.frames_received > 100
     assert "our TX" in caught.value.cause
     virtual.stop()
+
+
+@pytest.mark.parametrize("timeout", [0, -1.0, math.nan, math.inf])
+async def test_a_time_in_which_nothing_can_answer_is_no_fault_of_the_wires(timeout: float) -> None:
+    peer = Peer()
+    with pytest.raises(UsageError, match=f"within {timeout} s") as caught:
+        await attach_to(peer, timeout=timeout)
+    assert caught.value.remedy == "give seconds, above 0"
+    assert not peer.received
 
 
 async def test_connecting_that_fails_closes_the_line() -> None:

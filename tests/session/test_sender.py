@@ -414,6 +414,8 @@ def test_abandoning_what_is_over_does_nothing() -> None:
         ({"tries": 0}, "0 tries"),
         ({"timeout": 0.0}, "no request"),
         ({"timeout": -1.0}, "no request"),
+        ({"timeout": float("nan")}, "no request"),
+        ({"timeout": float("inf")}, "no request"),
         ({"encrypted": True}, "no key"),
     ],
 )
