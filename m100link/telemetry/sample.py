@@ -86,6 +86,7 @@ _SPEED_CHANGE_M_S = 0.3  # in a window without acceleration; fused values of 1 m
 # As many windows in a row decide: on the ground, in flight with a velocity, and without any, when
 # an aircraft that accelerates down at 1 m/s² would sink at 6 m/s, faster than it can.
 _STANDING, _FLYING, _BLIND = 1, 3, 6
+# As many windows of fused values overturn raw: three seconds of free fall are no flight.
 # An attitude is that of an acceleration for so long, s: both come from one estimate.
 _ATTITUDE_S = 0.3
 _MOST_G = 50.0
@@ -121,8 +122,8 @@ class AccelerationReader:
     """
 
     __slots__ = (
-        *("_attitude", "_attitude_at", "_count", "_is_standing", "_row", "_speed", "_start"),
-        *("_sum", "_velocity", "has_arrived", "is_idle", "mode", "seen"),
+        *("_against", "_attitude", "_attitude_at", "_count", "_is_found", "_is_standing", "_row"),
+        *("_speed", "_start", "_sum", "_velocity", "has_arrived", "is_idle", "mode", "seen"),
     )
 
     def __init__(self, mode: AccelerationMode | None = None) -> None:
@@ -134,6 +135,8 @@ class AccelerationReader:
         self._velocity: tuple[float, ...] | None = None  # the newest
         self._is_standing = False  # on the ground, motors off
         self._row = 0  # windows in a row that look raw
+        self._against = 0  # and, once raw was seen, fused
+        self._is_found = False  # whether the mode is what was seen
         self._begin(0.0)
 
     def _begin(self, now: float) -> None:
@@ -145,6 +148,7 @@ class AccelerationReader:
     def fix(self, mode: AccelerationMode | None) -> None:
         """Read by this mode from now on: somebody else knows it."""
         self.mode, self.is_idle = mode, mode is AccelerationMode.FUSED
+        self._is_found = False
 
     def read(self, value: bytes, profile: FirmwareProfile, now: float) -> bytes:
         """The value of a package with a fused acceleration, or without one.
@@ -170,7 +174,7 @@ class AccelerationReader:
         offset, unpack = items[_ITEM]
         felt = unpack(value, offset)
         self.has_arrived = True
-        if self.seen is None:
+        if self.seen is not AccelerationMode.FUSED:
             self._look(felt, now)
         if self.mode is AccelerationMode.FUSED:
             self.is_idle = self.seen is not None
@@ -195,6 +199,10 @@ class AccelerationReader:
             return
         found = self._shown()
         self._begin(now)
+        if self.seen is not None:  # raw, as an aircraft in a hand or a lift may have looked
+            self._against = self._against + 1 if found is AccelerationMode.FUSED else 0
+            if self._against < _FLYING:
+                return
         if found is not None:
             self._find(found)
 
@@ -218,8 +226,8 @@ class AccelerationReader:
 
     def _find(self, found: AccelerationMode) -> None:
         self.seen = found
-        if self.mode is None:
-            self.mode = found
+        if self.mode is None or (self._is_found and self.mode is not found):
+            self.mode, self._is_found = found, True
             _logger.info("acceleration comes %s, as its values at rest show", found)
         elif self.mode is not found:
             _logger.warning(

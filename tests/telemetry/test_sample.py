@@ -205,6 +205,33 @@ def test_every_other_item_stays_as_it_is(mode: AccelerationMode | None, firmware
         assert after == before
 
 
+def test_a_lift_that_looked_raw_is_overturned_by_rest_and_a_fall_is_not(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """A fused aircraft in a hand, braked with 1 m/s², and without a velocity."""
+    caplog.set_level("INFO")
+    one = stream()
+    standing: dict[str, Any] = {"flight_status": (1,)}
+    heard(one, 1.1, (0.0, 0.0, -1.0), **standing)
+    assert one.acceleration.mode is RAW
+    heard(one, 3.3, (0.0, 0.0, 0.05), begin=12.0, **standing)
+    assert one.acceleration.mode is one.acceleration.seen is FUSED
+    assert "comes fused" in caplog.text
+    # A raw one that falls for two seconds is raw.
+    one = stream()
+    heard(one, 1.1, (0.0, 0.0, -1.0), **standing)
+    heard(one, 2.2, (0.0, 0.0, 0.0), begin=12.0, **standing)
+    heard(one, 1.1, (0.0, 0.0, -1.0), begin=14.3, **standing)
+    heard(one, 2.2, (0.0, 0.0, 0.0), begin=15.5, **standing)
+    assert one.acceleration.mode is RAW
+    # A mode that somebody fixed stays.
+    one = stream(RAW)
+    heard(one, 1.1, (0.0, 0.0, -1.0), **standing)
+    heard(one, 3.3, (0.0, 0.0, 0.05), begin=12.0, **standing)
+    assert one.acceleration.mode is RAW
+    assert one.acceleration.seen is FUSED
+
+
 def test_a_mode_that_somebody_fixed_stays_and_what_is_seen_is_told(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
