@@ -217,8 +217,10 @@ class SetpointLoop:
         """Neutral for a moment, then silence."""
         if self._setpoint is not None:
             self.neutralise()
+            over_at = self._silent_at  # the sleep may end a rounding error before it
             await asyncio.sleep(NEUTRAL_TIME)
-            self._expire(self._loop.time())  # unless somebody has sent something new
+            # Unless somebody has sent something new.
+            self._expire(max(over_at, self._loop.time()))
 
     async def stop(self) -> None:
         """End the task."""

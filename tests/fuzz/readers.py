@@ -50,6 +50,7 @@ _REASONS: dict[str, tuple[str, ...]] = {
     ),
     "a file of the installation, or what the kernel tells": (
         "apps/station/console/view/texts.py translations",
+        "apps/station/ros/messages.py _types",
         "apps/cli/manual.py _Page.text",
         "apps/cli/manual.py _pages",
         "apps/cli/manual.py _unfenced",

@@ -44,7 +44,7 @@ def test_demo_flies_and_comes_back_within_a_metre(cli: CommandLine, firmware: st
     [summary] = outcome.objects
     check(summary, firmware)
     assert summary["speed"] == "max"
-    assert summary["returned_within_m"] < 0.3
+    assert summary["returned_within_m"] < 0.5
     assert summary["line"]["discarded_bytes"] == summary["line"]["repeats"] == 0
     # Sent at 50 Hz: one every 20 ms of its own time, whatever the machine does meanwhile.
     assert summary["setpoints_sent"] == pytest.approx(50 * summary["stages"]["square"], rel=0.02)

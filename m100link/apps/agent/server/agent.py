@@ -254,7 +254,8 @@ class Agent:
             self.leases.renew(token, self.now)
         if order.after_stop is AfterStop.ANEW:
             self._wanted()
-            if self._begin_anew != _LOST_MEANWHILE or self.holding.has_authority:
+            reason = self._begin_anew
+            if reason and (reason != _LOST_MEANWHILE or self.holding.has_authority):
                 self._require_anew(f"{order.label} that is asked for next is not begun")
         if at < self._stopped_at and isinstance(order, orders.Halt):
             token = ""  # it begins nothing anew
@@ -312,9 +313,10 @@ class Agent:
         """The holder wants to move it: after a loss, a pause of a second makes that a new wish."""
         # A stream, or an order that a program repeats until it is begun, is none: it would fly on
         # over the hands of a pilot who is back in F.
-        since, self._wanted_at = self.now - self._wanted_at, self.now
-        is_new = since > _PAUSE_S and self.holding.has_authority
-        if is_new and self._begin_anew == _LOST_MEANWHILE:
+        now = self.now
+        since, self._wanted_at = now - self._wanted_at, now
+        is_lost = self._begin_anew == _LOST_MEANWHILE
+        if is_lost and since > _PAUSE_S and self.holding.has_authority:
             self._begin_anew = ""
 
     def _require_anew(self, what: str) -> None:

@@ -365,7 +365,7 @@ async def test_problems_are_kept_for_the_operator(rig: Rig) -> None:
     assert await browser.tab.attempt(browser.tab.session.obtain)
     assert not await browser.tab.attempt(lambda: browser.tab.session.ask(orders.FlyPattern(3)))
     assert "random commands" in browser.problem
-    browser.beat(x=-31)
+    browser.beat(x=-36)
     assert "outside" in browser.problem
 
 

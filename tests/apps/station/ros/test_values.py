@@ -521,7 +521,7 @@ def test_a_joy_is_flown_with_its_signs_in_its_frame(
         ("ENUvelocity_yawrate", [1.0, 2.0, 4.5, 0.5]),
         ("ENUvelocity_yawrate", [1.0, 2.0, 0.5, 1.8]),  # rad/s: more than 100 °/s
         ("ENUposition_yaw", [1.0, 2.0, -0.5, 0.5]),
-        ("rollpitch_yawrate_zposition", [0.6, 0.1, 2.0, 0.5]),  # rad: more than 30°
+        ("rollpitch_yawrate_zposition", [0.7, 0.1, 2.0, 0.5]),  # rad: more than 35°
         (GENERIC, [1.0, 2.0, 0.5, 0.5]),
         (GENERIC, [1.0, 2.0, 0.5, 0.5, 0x4C]),  # bit 2 names no frame
         (GENERIC, [1.0, 2.0, 0.5, 0.5, 0x4E]),
