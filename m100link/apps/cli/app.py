@@ -184,8 +184,10 @@ class _Commands(App):
         console: Annotated[Any, Parameter(parse=False)] = None,
     ) -> None:
         """Print what the base class prints, and the examples."""
-        super().help_print(tokens, console=console)
         chain, apps, _ = self.parse_commands(tokens)
+        for name in apps[-1] if chain else ():
+            _ = apps[-1][name]  # loads it: a verb that is not loaded has no help in the list
+        super().help_print(tokens, console=console)
         console = console or apps[-1].console
         below = " ".join((*chain, ""))
         shown = EXAMPLES.get(below.strip()) or [

@@ -14,7 +14,7 @@ from cyclopts import Parameter
 from rich.table import Table
 
 from m100link.apps.cli.common import err, out
-from m100link.apps.cli.log import new_file, write_new
+from m100link.apps.cli.log import cannot_write, new_file, write_new
 from m100link.apps.cli.options import OUTPUT, Json
 from m100link.apps.cli.terminal import ExitCode, print_json
 from m100link.errors import BadSetpoint, UsageError
@@ -293,12 +293,18 @@ def fit_recordings(
         check: Recordings that are not fitted: how far off is the airframe there? Repeatable.
         output: Write the airframe into a new TOML file.
     """
+    for one in (output, plot):
+        if one is not None and one.exists():  # before minutes of work, not behind it
+            raise cannot_write(one, FileExistsError())
     begin = read_airframe(airframe)
+    checked = [read_recording(path) for path in check]
     recordings = [read_recording(path) for path in _named(recording)]
     with err.status("reading") as status:
         found = fit(ReplayedSpans(recordings), begin, lambda text: status.update(f"fitting {text}"))
     flights = [(one.name, ReplayedSpans([one]).fly(found.airframe)) for one in recordings]
-    flights += [_flights(path, found.airframe, ", not fitted") for path in check]
+    flights += [
+        (f"{one.name}, not fitted", ReplayedSpans([one]).fly(found.airframe)) for one in checked
+    ]
     if plot is not None:
         write_new(plot, _drawn(flights))
     if output is not None:
@@ -310,7 +316,7 @@ def fit_recordings(
         print_json({"constants": constants, "residuals": shown})
         return ExitCode.OK
     _print_constants(found, airframe)
-    started = [one for path in (*recording, *check) for one in [_flights(path, begin)]]
+    started = [(one.name, ReplayedSpans([one]).fly(begin)) for one in (*recordings, *checked)]
     for (name, after), (_, before) in zip(flights, started, strict=True):
         both = {airframe: residuals(before), "fitted": residuals(after)}
         _print_residuals(f"{name}: {_length(after)}", both)
@@ -325,9 +331,9 @@ def _named(recording: Sequence[Path]) -> Sequence[Path]:
     return recording
 
 
-def _flights(path: Path, airframe: Airframe, more: str = "") -> tuple[str, list[SpanFlight]]:
+def _flights(path: Path, airframe: Airframe) -> tuple[str, list[SpanFlight]]:
     recording = read_recording(path)
-    return f"{recording.name}{more}", ReplayedSpans([recording]).fly(airframe)
+    return recording.name, ReplayedSpans([recording]).fly(airframe)
 
 
 def _length(flights: Sequence[SpanFlight]) -> str:

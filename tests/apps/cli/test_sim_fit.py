@@ -197,3 +197,29 @@ def test_a_fit_is_printed_written_and_flown(cli: CommandLine, flown: Path, tmp_p
     assert again.status == ExitCode.USAGE
     assert "is there already" in again.err
     assert cli("sim", "fit").status == ExitCode.USAGE
+
+
+def test_what_cannot_be_written_or_checked_is_refused_before_the_fit(
+    cli: CommandLine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def never(*_: object) -> None:
+        raise AssertionError("it was fitted")
+
+    monkeypatch.setattr("m100link.apps.cli.sim_fit.fit", never)
+    there = tmp_path / "there"
+    there.write_text("mine", encoding="utf-8")
+    for words, why in (
+        (("-o", str(there)), "is there already"),
+        (("--plot", str(there)), "is there already"),
+        (("--check", str(there)), "is not a flight log"),
+    ):
+        outcome = cli("sim", "fit", str(there), *words)
+        assert outcome.status == ExitCode.USAGE
+        assert why in outcome.err.replace("\n", " ")
+    assert there.read_text(encoding="utf-8") == "mine"
+
+
+def test_the_list_says_what_each_verb_of_sim_does(cli: CommandLine) -> None:
+    listed = " ".join(cli("sim", "--help").out.split())
+    assert "compare Fly the commands of recorded flights" in listed
+    assert "fit Find the airframe" in listed
