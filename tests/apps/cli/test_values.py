@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import io
 import sys
+import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from types import SimpleNamespace
@@ -23,6 +24,7 @@ from m100link.protocol import Battery
 from m100link.protocol.items import BY_RECORD
 from m100link.sim import VirtualClockEventLoop
 from m100link.telemetry.state import ItemStatistics
+from tests.apps.cli.conftest import CommandLine
 from tests.rig import rig
 
 pytestmark = pytest.mark.anyio
@@ -82,6 +84,21 @@ def test_hz_shows_milliseconds_and_parts_in_a_million() -> None:
     assert shown["position"] == ["0", "0"]
     caption = "device clock 600 Hz, skew 12.3 ppm, known to 4.2 ms"
     assert " ".join(shown["last"]) == caption
+
+
+@pytest.mark.parametrize(("count", "gap_s"), [(0, None), (1, None), (2, 0.0756)])
+def test_one_package_has_no_gap_behind_it(count: int, gap_s: float | None) -> None:
+    statistics = ItemStatistics("battery", count, None, None, 0.0756)
+    aircraft = measured()
+    aircraft.state.statistics = lambda _: statistics
+    assert telemetry._rates(aircraft)["items"]["battery"]["longest_gap_s"] == gap_s
+
+
+def test_echo_says_when_in_posix_time(cli: CommandLine) -> None:
+    """Seconds since 1970, and the clock of the event loop, which counts from anywhere."""
+    for line in cli("echo", "sim://", "position", "--json", "--count", "3").objects:
+        assert line["utc"] == pytest.approx(time.time(), abs=300.0)
+        assert list(line)[:2] == ["received_at", "utc"]
 
 
 @pytest.mark.usefixtures("wide")
