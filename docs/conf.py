@@ -59,6 +59,8 @@ nitpick_ignore_regex = [
     (r"py:class", r"os\.PathLike"),
     (r"py:.*", r"(anyio|cryptography|serial|serial_asyncio)(\..*)?"),
     (r"py:class", r"(Path|(random\.)?Random)"),
+    # How slow a line is, from the session that measures it.
+    (r"py:class", r"m100link\.session\.events\.Latency"),
     # The signed order is handed on as it is.
     (r"py:class", r"m100link\.apps\.fleet\.payloads\.OrderMessage"),
     # Attributes are described by their class, they are not entries of their own.

@@ -165,10 +165,10 @@ class AccelerationMode(StrEnum):
     """The setting of the PC assistant by which the aircraft sends acceleration (errata 44)."""
 
     FUSED = "fused"
-    """Ground frame, m/s², without gravity: 0, 0, 0 at rest."""
+    """In m/s² of the ground frame without gravity. At rest it is 0, 0, 0."""
 
     RAW = "raw"
-    """Body frame (forward, right, down), in g, with gravity: 0, 0, −1 at rest."""
+    """In g of the body frame with gravity. Forward, right and down are 0, 0 and −1 at rest."""
 
 
 @quick

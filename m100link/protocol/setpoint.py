@@ -406,7 +406,7 @@ class Setpoint(Movement):
             profile: Firmware of the receiver.
 
         Raises:
-            BadSetpoint: As :meth:`ReceivedMove.read`; or a value is out of range.
+            BadSetpoint: The flag names no mode or frame, or a value is out of range.
         """
         return cls(*ReceivedMove.read(move, profile))
 

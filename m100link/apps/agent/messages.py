@@ -247,7 +247,7 @@ class Ask:
     id: int  #: comes back in each outcome; 0 asks for none
     order: Order  #: the order
     fence: int = 0  #: number of the lease it is asked under; 0 for none
-    sent_at: float | None = None  #: when it was asked, by the front's clock, s; None: unknown
+    sent_at: float | None = None  #: when it was asked in s, None where nobody says
     hears_begin: bool = False  #: whether an outcome tells the begin, too
 
 

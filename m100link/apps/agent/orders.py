@@ -54,8 +54,8 @@ class AfterStop(Enum):
 
     DONE = "done"  # it ends something, or moves nothing: done whenever it comes
     IF_NEWER = "if newer"  # done, unless it was asked for before the STOP
-    #: Likewise, and not before its client has begun anew: asked for control, or let go of keys.
-    #: A program whose steps are separate orders does not fly on after a STOP that it did not hear.
+    # Likewise, and not before its client has begun anew: asked for control, or let go of keys.
+    # A program whose steps are separate orders does not fly on after a STOP that it did not hear.
     ANEW = "anew"
 
 
@@ -72,7 +72,7 @@ class Order:
     #: often. An order that is not kept waits for no disk.
     is_kept: ClassVar[bool] = True
     age: ClassVar[Age] = Age.YOUNG
-    after_stop: ClassVar[AfterStop] = AfterStop.ANEW  #: where it moves nothing: DONE
+    after_stop: ClassVar[AfterStop] = AfterStop.ANEW  #: DONE where it moves nothing
     #: Whether it is done as it is heard, before orders that were heard and have not begun.
     is_at_once: ClassVar[bool] = False
     label: ClassVar[str]  #: its name for people
@@ -117,7 +117,7 @@ class Halt(EndingOrder, label="hover", needs=Needs.NOTHING, age=Age.ANY, is_at_o
     """
 
     why: str = ""  #: for people
-    begins_anew: bool = False  #: the holder of the lease let go: what is asked next flies
+    begins_anew: bool = False  #: whether its holder let go, so that the next order flies
 
 
 class Land(EndingOrder, after_stop=AfterStop.IF_NEWER):

@@ -40,7 +40,7 @@ class Airframe:
     look like a Matrice 100.
 
     Raises:
-        UsageError: A number is not finite, or outside its range in :data:`RANGES`.
+        UsageError: A number is not finite, or outside its range.
     """
 
     tilt_frequency: float = 10.0
@@ -48,7 +48,7 @@ class Airframe:
     tilt_damping: float = 1.0
     """Damping ratio of the attitude response; 1 is critical."""
     command_delay: float = 0.0
-    """Seconds from a movement command to its effect: dead time, in steps of 0.01 s."""
+    """Dead time from a movement command to its effect in s, by steps of 0.01 s."""
     maximum_tilt_deg: float = 30.0
     """Limit of commanded tilt (document 3.2)."""
     cruise_tilt_deg: float = 25.0
