@@ -21,6 +21,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from m100link.errors.texts import read_json
+
 Message = dict[str, Any]  # a ROS message: field names and values
 
 _TYPES = Path(__file__).with_name("types.txt")
@@ -164,7 +166,7 @@ def message_type(name: str, text: str) -> MessageType:
     fields, _, constants = text.partition(";")
     pairs = (one.partition("=") for one in constants.split())
     return MessageType(
-        name, _fields(fields), tuple((key, json.loads(value)) for key, _, value in pairs)
+        name, _fields(fields), tuple((key, read_json(value)) for key, _, value in pairs)
     )
 
 
