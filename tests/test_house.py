@@ -315,7 +315,7 @@ def test_no_assertion_holds_of_anything() -> None:
 
 
 def test_each_explained_mutation_is_of_a_line_that_is_there() -> None:
-    """Whoever changes such a line looks whether the explanation is still right."""
+    """A change of such a line is to check whether the explanation is still right."""
     table = tomllib.loads((ROOT / "tests/mutation_survivors.toml").read_text("utf-8"))
     found = [
         f"{entry['module']}: {line}"

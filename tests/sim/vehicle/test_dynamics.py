@@ -79,7 +79,7 @@ def test_lift_grows_with_a_power_of_thrust() -> None:
 
 
 def test_the_thrust_of_velocity_control_is_the_one_that_flies_alike() -> None:
-    """The two ways of steering agree about lift: one accelerates, the other is told its thrust."""
+    """The two ways of steering agree about lift: one accelerates, the other sets thrust."""
     airframe = Airframe(hover_thrust=38.2, thrust_exponent=0.68, vertical_drag=0.0)
     one, two = hovering(airframe), hovering(airframe)
     for _ in range(100):

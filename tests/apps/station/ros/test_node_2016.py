@@ -204,7 +204,7 @@ def test_a_name_of_two_generations_has_the_type_that_a_client_asks_for() -> None
 
 @pytest.mark.parametrize(("health", "counts"), [(0, False), (3, False), (4, True), (5, True)])
 def test_local_positions_count_from_the_first_good_fix(health: int, counts: bool) -> None:
-    """3.1 wants a health above 3. Before that nothing is told."""
+    """Firmware 3.1 wants a health above 3. At 3 the node publishes nothing."""
 
     async def listen(rig: KnownRig) -> None:
         page = rig.client()
