@@ -329,10 +329,10 @@ class ErrataIndex(SphinxDirective):
         text = Path(self.env.doc2path(self.env.docname)).read_text(encoding="utf-8")
         headings = {int(number) for number in re.findall(r"^### (\d+)\. ", text, re.MULTILINE)}
         rows = {int(number) for number in re.findall(r"^\| (\d+) \|", text, re.MULTILINE)}
-        if headings & rows or headings | rows != set(range(1, 73)):
-            raise self.error("the errata are not the numbers 1 to 72, each once")
+        if headings & rows or headings | rows != set(range(1, 74)):
+            raise self.error("the errata are not the numbers 1 to 73, each once")
         paragraph = nodes.paragraph(text="By number: ")
-        for number in range(1, 73):
+        for number in range(1, 74):
             anchor = f"errata-{number}" if number in headings else "errata-missions"
             paragraph += nodes.reference(text=str(number), refuri=f"#{anchor}")
             paragraph += nodes.Text(" ")
