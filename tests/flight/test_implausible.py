@@ -197,7 +197,8 @@ FAULTS: dict[str, tuple[Fault, type[M100Error] | tuple[type[M100Error], ...]]] =
     "1 km within 20 ms": (jumps, NavigationLost),
     "0, 0 with health 5": (null, NavigationLost),
     "deaf": (is_deaf, SetpointsIgnored),
-    "the velocity stands": (velocity_stands, NavigationLost),
+    # Where it stands from the begin on, the aircraft looks as if it flew nothing.
+    "the velocity stands": (velocity_stands, (NavigationLost, SetpointsIgnored)),
 }
 
 
