@@ -251,7 +251,6 @@ def tool(name: str, about: str, *lines: str | Line, groups: str = "", **env: str
     nox.session(name=name, default=False)(session_of_it)
 
 
-SYNC = "Write the generated modules of m100link/sync, after a change to the API with await."
 SLOW = "Measure which tests are slow, and write tests/slow.txt; on a quiet machine."
 BRIDGE = "MAVSDK in both its kinds and pymavlink fly through the bridge; 30 min, real time."
 NODE = "zenoh-ros2-sdk and plain zenoh fly the node, and are killed in flight; 10 min, real time."
@@ -266,7 +265,6 @@ BENCH = "The benchmarks, beside their rivals on the same machine; `-- frames` fo
 BUILD = "Source archive, wheel (the same bit by bit when built again), and its bill of materials."
 measured = pytest(*workers(2), "-m", "not pty", *VIRTUAL)
 on_uvloop = pytest("-m", "pty", "tests/link")
-tool("sync", SYNC, ("python", "-P", "m100link/sync/generate.py"), groups="lint", PYTHONPATH=".")
 tool("slow", SLOW, measured, M100LINK_WRITE_SLOW="1")
 tool("uvloop", UVLOOP, on_uvloop, groups="uvloop", M100LINK_TESTS_ON_UVLOOP="1")
 tool("interop-mavlink", BRIDGE, pytest(MAVLINK), groups="interop-mavlink")

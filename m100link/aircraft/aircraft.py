@@ -380,7 +380,7 @@ class Aircraft:
         self.link.require_loop()
         return await release_authority(self._commander)
 
-    async def set_telemetry_rates(self, **rates_hz: int) -> dict[str, float]:
+    async def set_telemetry_rates(self, /, **rates_hz: int) -> dict[str, float]:
         """Set how often telemetry items are sent, and see that they are. Firmware 3.1.
 
         It takes 1.5 s, in which arriving items are counted; 3.5 s with a rate of 1 Hz.

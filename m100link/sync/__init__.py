@@ -11,7 +11,6 @@
 
 from m100link.sync.aircraft import Aircraft, connect
 from m100link.sync.control import Control
-from m100link.sync.steering import Hold, Ticks
-from m100link.sync.subscription import Subscription
+from m100link.sync.steering import Hold, Subscription, Ticks
 
 __all__ = ["Aircraft", "Control", "Hold", "Subscription", "Ticks", "connect"]

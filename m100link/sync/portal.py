@@ -1,16 +1,18 @@
-"""The thread in which the aircraft of a program without ``await`` lives."""
+"""The thread where the aircraft of a program without ``await`` lives, and members that ask it."""
 
 from __future__ import annotations
 
 import asyncio
 import atexit
+import inspect
 import os
 import queue
+import re
 import threading
 from collections.abc import Callable, Coroutine
 from concurrent.futures import Future
-from functools import partial
-from typing import Any, ParamSpec, TypeVar
+from functools import partial, update_wrapper
+from typing import Any, Concatenate, Generic, ParamSpec, Self, TypeVar, get_type_hints, overload
 
 from m100link.errors import LinkClosed, UsageError
 from m100link.sim.clock import LockstepEventLoop
@@ -42,10 +44,15 @@ class Caller:
         if self._clock is not None:
             self._clock.end_waiting()
 
-    def callback(self, function: Callable[[T], None] | None) -> Callable[[T], None] | None:
+    def begin(self, method: Callable[P, R], /, *args: P.args, **kwargs: P.kwargs) -> R:
+        """Call it in the event loop; its ``progress`` runs here."""
+        progress: Any = kwargs.get("progress")
+        if progress is not None:
+            kwargs["progress"] = self.callback(progress)
+        return method(*args, **kwargs)
+
+    def callback(self, function: Callable[[T], None]) -> Callable[[T], None]:
         """``function``, to be called by the event loop and run here."""
-        if function is None:
-            return None
         return lambda value: self._inbox.put(partial(function, value))
 
     async def ask(self, function: Callable[[T], R], value: T) -> R:
@@ -231,3 +238,103 @@ class Portal:
 
         atexit.register(end)
         return end
+
+
+# -- members of a class without ``await``: what is not said here is as it is with it ---------------
+
+
+_WORDS = (
+    (r"async (with|for)", r"\1"),
+    (r"await asyncio\.sleep", "time.sleep"),
+    (r"await ", ""),
+    (r"aclose", "close"),
+    (r"m100link\.connect", "m100link.sync.connect"),
+    (r" \(when it is entered or awaited\)", ""),
+    (r"; no asyncio, but trio", ""),
+)
+"""Words of a docstring, and what they are here."""
+
+
+def described(member: Any) -> str | None:
+    """The docstring of a member with ``await`` as it reads here; None under ``python -OO``."""
+    text: str | None = member.__doc__
+    for word, other in _WORDS if text else ():
+        text = re.sub(word, other, text or "")
+    return text
+
+
+def shown_as(made: Callable[..., Any], method: Callable[..., Any], returned: Any = None) -> None:
+    """Give a function the parameters of one with ``await``, and its docstring if it has none."""
+    doc = made.__doc__ or described(method)
+    update_wrapper(made, method)
+    made.__doc__ = doc
+    if returned is not None:
+        made.__annotations__ = {**method.__annotations__, "return": returned}
+        signature = inspect.signature(method).replace(return_annotation=returned)
+        made.__dict__["__signature__"] = signature
+
+
+class Handed:
+    """An object in the thread of a portal, for the threads of a program."""
+
+    def __init__(self, portal: Portal, aio: Any) -> None:
+        self._portal = portal
+        self._aio = aio  # the one with ``await``
+
+    def __repr__(self) -> str:
+        return repr(self._aio)
+
+
+class Reads(property, Generic[T]):
+    """A property of the one with ``await``."""
+
+    def __init__(self, member: Any) -> None:
+        def get(self: Handed) -> Any:
+            return getattr(self._aio, member.fget.__name__)
+
+        super().__init__(update_wrapper(get, member.fget))
+        self.__doc__ = described(member)
+
+    @overload
+    def __get__(self, instance: None, owner: type, /) -> Self: ...
+    @overload
+    def __get__(self, instance: Any, owner: type | None = None, /) -> T: ...
+    def __get__(self, instance: Any, owner: type | None = None, /) -> Any:
+        return super().__get__(instance, owner)
+
+
+def waits(
+    method: Callable[Concatenate[Any, P], Coroutine[Any, Any, R]],
+) -> Callable[Concatenate[Any, P], R]:
+    """A method that awaits that of the one with ``await``; ``progress`` is called by the caller."""
+
+    def wait(self: Any, /, *args: P.args, **kwargs: P.kwargs) -> R:
+        wanted = getattr(self._aio, method.__name__)
+        answer: R = self._portal.wait(lambda caller: caller.begin(wanted, *args, **kwargs))
+        return answer
+
+    shown_as(wait, method)
+    return wait
+
+
+def calls(method: Callable[Concatenate[Any, P], R]) -> Callable[Concatenate[Any, P], R]:
+    """A method that calls that of the one with ``await``, which does not wait."""
+
+    def call(self: Any, /, *args: P.args, **kwargs: P.kwargs) -> R:
+        answer: R = self._portal.call(getattr(self._aio, method.__name__), *args, **kwargs)
+        return answer
+
+    shown_as(call, method)
+    return call
+
+
+def like(
+    method: Callable[Concatenate[Any, P], object],
+) -> Callable[[Callable[..., T]], Callable[Concatenate[Any, P], T]]:
+    """Give a method the arguments and the docstring of the one with ``await``."""
+
+    def marked(made: Callable[..., T]) -> Callable[Concatenate[Any, P], T]:
+        shown_as(made, method, get_type_hints(made)["return"])
+        return made
+
+    return marked

@@ -1,13 +1,15 @@
-"""Ticks, holds and missions without ``await``: each is a ``with`` block, or iterated."""
+"""Telemetry, ticks, holds and missions without ``await``: a ``with`` block, or iterated."""
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import AsyncIterator, Callable
 from contextlib import AbstractAsyncContextManager
 from types import TracebackType
-from typing import Generic, Self, TypeVar
+from typing import Any, Generic, Self, TypeVar
 
 from m100link.aircraft import payload
+from m100link.errors import M100Error, TelemetryStalled
 from m100link.flight import pacing, setpoints
 from m100link.flight.missions import hotpoint, mission_guard, waypoint
 from m100link.flight.missions.events import MissionEvent
@@ -15,95 +17,157 @@ from m100link.flight.missions.hotpoint import Target
 from m100link.flight.pacing import Tick
 from m100link.missions.plan import WaypointPlan
 from m100link.protocol.setpoint import Setpoint
-from m100link.sync.portal import Caller, Portal
+from m100link.sync.portal import Caller, Handed, Portal, Reads, calls, waits
+from m100link.telemetry import subscription
+
+T = TypeVar("T")
 
 
-class Ticks:
+class Ticks(Handed):
     """Ticks at a steady rate: ``for tick in control.ticks(20):``."""
-
-    def __init__(self, portal: Portal, ticker: pacing.Ticker) -> None:
-        self._portal = portal
-        self._ticker = ticker
 
     @property
     def period(self) -> float:
         """Seconds between ticks."""
-        return self._ticker.period
+        return float(self._aio.period)
 
     @property
     def missed(self) -> int:
         """Deadlines skipped in all."""
-        return self._ticker.missed
+        return int(self._aio.missed)
 
     def __iter__(self) -> Self:
         return self
 
     def __next__(self) -> Tick:
-        return self._portal.wait(lambda _: self._ticker.__anext__())
+        tick: Tick = self._portal.wait(lambda _: self._aio.__anext__())
+        return tick
 
 
-class Hold:
+class Subscription(Handed, Generic[T]):
+    """Values as they arrive: ``for sample in aircraft.telemetry(Attitude, timeout=1):``.
+
+    Attributes:
+        timeout: Seconds that iterating waits for a value; None: for ever.
+    """
+
+    def __init__(
+        self, portal: Portal, values: subscription.Subscription[T], timeout: float | None
+    ) -> None:
+        super().__init__(portal, values)
+        self.timeout = timeout
+
+    def get(self, timeout: float | None = None) -> T:
+        """The next value.
+
+        Args:
+            timeout: Seconds to wait; None: for ever.
+
+        Raises:
+            TelemetryStalled: None came in time.
+            LinkLost, LinkClosed, TelemetryOverflow: See :meth:`m100link.Aircraft.telemetry`.
+        """
+        value = self.get_nowait()
+        if value is not None:
+            return value
+
+        async def take() -> T:
+            async with asyncio.timeout(timeout):
+                value: T = await anext(self._aio)
+                return value
+
+        try:
+            return self._portal.wait(lambda _: take())
+        except StopAsyncIteration:
+            raise StopIteration from None
+        except TimeoutError as error:
+            if isinstance(error, M100Error):
+                raise
+            raise TelemetryStalled(
+                f"no value came for {timeout:g} s",
+                cause="the item is not sent, or the line is broken",
+                remedy="see which items arrive: m100link hz",
+            ) from None
+
+    def get_nowait(self) -> T | None:
+        """The next queued value, None when there is none."""
+        value: T | None = self._aio.get_nowait()
+        return value
+
+    received = Reads[int](subscription.Subscription.received)
+    dropped = Reads[int](subscription.Subscription.dropped)
+    thinned = Reads[int](subscription.Subscription.thinned)
+
+    def close(self) -> None:
+        """Stop receiving. May be called any number of times."""
+        if self._portal.is_open:
+            self._portal.call(self._aio.close)
+
+    def __iter__(self) -> Self:
+        return self
+
+    def __next__(self) -> T:
+        return self.get(self.timeout)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        exc_type: type[BaseException] | None,
+        exc: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+class _Block(Generic[T]):
+    """An async context manager of the one with ``await``, as a ``with`` block."""
+
+    def __init__(
+        self, portal: Portal, make: Callable[[Caller], AbstractAsyncContextManager[T]]
+    ) -> None:
+        self._portal = portal
+        self._make = make
+        self._holding: AbstractAsyncContextManager[T]
+        self._entered: T | None = None
+
+    def __repr__(self) -> str:
+        is_new = self._entered is None
+        return f"<{type(self).__name__}, not entered>" if is_new else repr(self._entered)
+
+    @property
+    def _aio(self) -> T:
+        assert self._entered is not None, "use it inside its `with` block"
+        return self._entered
+
+    def __enter__(self) -> Self:
+        async def enter(caller: Caller) -> None:
+            self._holding = self._make(caller)
+            self._entered = await self._holding.__aenter__()
+
+        self._portal.wait(enter)
+        return self
+
+    def __exit__(
+        self,
+        exc_type: type[BaseException] | None,
+        exc: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self._portal.wait(lambda _: self._holding.__aexit__(exc_type, exc, traceback))
+
+
+class Hold(_Block[setpoints.Hold]):
     """A setpoint that is being sent while a ``with`` block runs; :meth:`set` renews it."""
 
-    def __init__(
-        self, portal: Portal, holding: AbstractAsyncContextManager[setpoints.Hold]
-    ) -> None:
-        self._portal = portal
-        self._holding = holding
-        self._hold: setpoints.Hold | None = None  # while the block runs
-
-    def set(self, setpoint: Setpoint) -> None:
-        """Send this setpoint from now on, for another lifetime.
-
-        Raises:
-            NoAuthority, GuardRefused, BadSetpoint: See :meth:`Control.send`.
-        """
-        assert self._hold is not None, "use it inside its `with` block"
-        self._portal.call(self._hold.set, setpoint)
-
-    def __enter__(self) -> Self:
-        self._hold = self._portal.wait(lambda _: self._holding.__aenter__())
-        return self
-
-    def __exit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self._portal.wait(lambda _: self._holding.__aexit__(exc_type, exc, traceback))
+    set = calls(setpoints.Hold.set)
 
 
-class GimbalRates:
+class GimbalRates(_Block[payload.GimbalRates]):
     """Angular rates that are repeated while a ``with`` block runs; :meth:`set` replaces them."""
 
-    def __init__(
-        self, portal: Portal, holding: AbstractAsyncContextManager[payload.GimbalRates]
-    ) -> None:
-        self._portal = portal
-        self._holding = holding
-        self._rates: payload.GimbalRates | None = None  # while the block runs
-
-    def set(self, *, yaw: float = 0.0, pitch: float = 0.0, roll: float = 0.0) -> None:
-        """Turn at these rates from the next repetition on, within 0.1 s.
-
-        Raises:
-            UsageError: Beyond 180 degrees per second, or not a number.
-        """
-        assert self._rates is not None, "use it inside its `with` block"
-        self._portal.call(self._rates.set, yaw=yaw, pitch=pitch, roll=roll)
-
-    def __enter__(self) -> Self:
-        self._rates = self._portal.wait(lambda _: self._holding.__aenter__())
-        return self
-
-    def __exit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self._portal.wait(lambda _: self._holding.__aexit__(exc_type, exc, traceback))
+    set = calls(payload.GimbalRates.set)
 
 
 async def asked(
@@ -120,154 +184,59 @@ async def asked(
 # -- missions: ``with control.waypoint_mission(plan) as mission:`` --------------------------------
 
 
-F = TypeVar("F", bound=mission_guard.MissionFlight)
-
-
-class MissionFlight(Generic[F]):
+class MissionFlight(_Block[Any]):
     """A mission while a ``with`` block runs; ``for event in mission:`` tells of it.
 
     The error that ends the control block is raised by the call that waits, or by the next one.
     **It flies on when this program is killed, loses its power or its cable.**
     """
 
-    def __init__(self, portal: Portal, make: Callable[[Caller], F]) -> None:
-        self._portal = portal
-        self._make = make
-        self._made: F | None = None  # once it was entered
-
-    def __repr__(self) -> str:
-        return f"<{type(self).__name__}, not entered>" if self._made is None else repr(self._made)
-
-    @property
-    def _flight(self) -> F:
-        assert self._made is not None, "use it inside its `with` block"
-        return self._made
-
-    def __enter__(self) -> Self:
-        async def enter(caller: Caller) -> None:
-            self._made = self._make(caller)
-            await self._made.__aenter__()
-
-        self._portal.wait(enter)
-        return self
-
-    def __exit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self._portal.wait(lambda _: self._flight.__aexit__(exc_type, exc, traceback))
-
     def __iter__(self) -> Self:
         return self
 
     def __next__(self) -> MissionEvent:
         try:
-            return self._portal.wait(lambda _: self._flight.__anext__())
+            event: MissionEvent = self._portal.wait(lambda _: self._aio.__anext__())
         except StopAsyncIteration:
             raise StopIteration from None
+        return event
 
-    @property
-    def is_over(self) -> bool:
-        """Whether it does not fly any more, or the program let go of it."""
-        return self._flight.is_over
-
-    @property
-    def is_paused(self) -> bool:
-        """Whether it hovers by order of the program."""
-        return self._flight.is_paused
-
-    def pause(self) -> None:
-        """See :meth:`m100link.MissionFlight.pause`."""
-        self._portal.wait(lambda _: self._flight.pause())
-
-    def resume(self) -> None:
-        """See :meth:`m100link.MissionFlight.resume`."""
-        self._portal.wait(lambda _: self._flight.resume())
-
-    def stop(self) -> None:
-        """See :meth:`m100link.MissionFlight.stop`."""
-        self._portal.wait(lambda _: self._flight.stop())
-
-    def detach(self) -> None:
-        """See :meth:`m100link.MissionFlight.detach`: the aircraft flies on."""
-        self._portal.call(self._flight.detach)
+    is_over = Reads[bool](mission_guard.MissionFlight.is_over)
+    is_paused = Reads[bool](mission_guard.MissionFlight.is_paused)
+    is_unstopped = Reads[bool](mission_guard.MissionFlight.is_unstopped)
+    pause = waits(mission_guard.MissionFlight.pause)
+    resume = waits(mission_guard.MissionFlight.resume)
+    stop = waits(mission_guard.MissionFlight.stop)
+    detach = calls(mission_guard.MissionFlight.detach)
 
 
-class WaypointFlight(MissionFlight[waypoint.WaypointFlight]):
+class WaypointFlight(MissionFlight):
     """A waypoint mission: ``with control.waypoint_mission(plan) as mission:``."""
 
     @property
     def plan(self) -> WaypointPlan:
         """The plan that it flies."""
-        return self._flight.plan
+        plan: WaypointPlan = self._aio.plan
+        return plan
 
-    @property
-    def index(self) -> int | None:
-        """Waypoint that it flies to, counted from 0; None while nobody knows."""
-        return self._flight.index
-
-    @property
-    def estimated_time(self) -> float | None:
-        """Seconds that the aircraft expects it to take; None if it did not say."""
-        return self._flight.estimated_time
-
-    def set_speed(self, speed: float) -> float:
-        """See :meth:`m100link.WaypointFlight.set_speed`."""
-        return self._portal.wait(lambda _: self._flight.set_speed(speed))
+    index = Reads[int | None](waypoint.WaypointFlight.index)
+    estimated_time = Reads[float | None](waypoint.WaypointFlight.estimated_time)
+    set_speed = waits(waypoint.WaypointFlight.set_speed)
 
 
-class HotpointFlight(MissionFlight[hotpoint.HotpointFlight]):
+class HotpointFlight(MissionFlight):
     """A circle around a place: ``with control.hotpoint(...) as circle:``."""
 
-    @property
-    def distance_m(self) -> float | None:
-        """Present distance from the centre as the aircraft says, m; None before it did."""
-        return self._flight.distance_m
-
-    @property
-    def rate_deg_s(self) -> float | None:
-        """Present angular rate as the aircraft says, °/s; None before it did."""
-        return self._flight.rate_deg_s
-
-    @property
-    def largest_radius(self) -> float | None:
-        """The largest radius that the aircraft allows here, m; None before the start."""
-        return self._flight.largest_radius
-
-    def set_radius(self, radius: float, *, wait: bool = True, timeout: float = 30.0) -> None:
-        """See :meth:`m100link.HotpointFlight.set_radius`."""
-        self._portal.wait(lambda _: self._flight.set_radius(radius, wait=wait, timeout=timeout))
-
-    def set_rate(
-        self,
-        rate_deg_s: float,
-        *,
-        clockwise: bool | None = None,
-        wait: bool = True,
-        timeout: float = 30.0,
-    ) -> None:
-        """See :meth:`m100link.HotpointFlight.set_rate`."""
-        self._portal.wait(
-            lambda _: self._flight.set_rate(
-                rate_deg_s, clockwise=clockwise, wait=wait, timeout=timeout
-            )
-        )
-
-    def reset_heading(self) -> None:
-        """See :meth:`m100link.HotpointFlight.reset_heading`."""
-        self._portal.wait(lambda _: self._flight.reset_heading())
+    distance_m = Reads[float | None](hotpoint.HotpointFlight.distance_m)
+    rate_deg_s = Reads[float | None](hotpoint.HotpointFlight.rate_deg_s)
+    largest_radius = Reads[float | None](hotpoint.HotpointFlight.largest_radius)
+    set_radius = waits(hotpoint.HotpointFlight.set_radius)
+    set_rate = waits(hotpoint.HotpointFlight.set_rate)
+    reset_heading = waits(hotpoint.HotpointFlight.reset_heading)
 
 
-class FollowFlight(MissionFlight[hotpoint.FollowFlight]):
+class FollowFlight(MissionFlight):
     """Following a target: ``with control.follow_target(first) as mission:``."""
 
-    @property
-    def target(self) -> Target | None:
-        """The newest target that was sent."""
-        return self._flight.target
-
-    def set_target(self, target: Target) -> bool:
-        """See :meth:`m100link.FollowFlight.set_target`."""
-        return self._portal.call(self._flight.set_target, target)
+    target = Reads[Target | None](hotpoint.FollowFlight.target)
+    set_target = calls(hotpoint.FollowFlight.set_target)

@@ -45,15 +45,13 @@ def test_callbacks_run_in_the_thread_that_waits(portal: Portal) -> None:
     def hear(number: int) -> None:
         heard.append((number, threading.get_ident()))
 
-    async def count(caller: Caller) -> str:
-        tell = caller.callback(hear)
-        assert tell is not None
-        for number in range(3):
-            tell(number)
-        assert caller.callback(None) is None
+    async def count(to: int, progress: Callable[[int], None] | None = None) -> str:
+        for number in range(to if progress else 0):
+            progress(number) if progress else None
         return "done"
 
-    assert portal.wait(count) == "done"
+    assert portal.wait(lambda caller: caller.begin(count, 3, progress=hear)) == "done"
+    assert portal.wait(lambda caller: caller.begin(count, 3, progress=None)) == "done"
     assert heard == [(number, threading.get_ident()) for number in range(3)]
 
 

@@ -75,14 +75,14 @@ def test_one_that_is_detached_flies_on() -> None:
 
 # -- what is passed on -----------------------------------------------------------------------------
 
-PAIRS: list[tuple[type[Any], str, type[Any]]] = [
-    (steering.Hold, "_hold", setpoints.Hold),
-    (steering.GimbalRates, "_rates", payload.GimbalRates),
-    (steering.WaypointFlight, "_made", waypoint.WaypointFlight),
-    (steering.HotpointFlight, "_made", hotpoint.HotpointFlight),
-    (steering.FollowFlight, "_made", hotpoint.FollowFlight),
+PAIRS: list[tuple[type[Any], type[Any]]] = [
+    (steering.Hold, setpoints.Hold),
+    (steering.GimbalRates, payload.GimbalRates),
+    (steering.WaypointFlight, waypoint.WaypointFlight),
+    (steering.HotpointFlight, hotpoint.HotpointFlight),
+    (steering.FollowFlight, hotpoint.FollowFlight),
 ]
-"""Each class here, where it keeps the one with ``await``, and that one."""
+"""Each class here, and the one with ``await``."""
 
 
 class _Noted:
@@ -95,13 +95,14 @@ class _Noted:
         return lambda *args, **kwargs: self.calls.append((name, args, kwargs))
 
 
-def _made(kind: type[Any], place: str, inner: object) -> Any:
+def _made(kind: type[Any], inner: object) -> Any:
     made: Any = object.__new__(kind)
-    made._portal = SimpleNamespace(
-        call=lambda function, *args, **kwargs: function(*args, **kwargs),
-        wait=lambda make: make(None),
-    )
-    setattr(made, place, inner)
+
+    def call(function: Any, *args: Any, **kwargs: Any) -> Any:
+        return function(*args, **kwargs)
+
+    made._portal = SimpleNamespace(call=call, wait=lambda make: make(SimpleNamespace(begin=call)))
+    made._entered = inner
     return made
 
 
@@ -113,15 +114,11 @@ def _public(kind: type[Any], *, is_property: bool) -> list[str]:
     ]
 
 
-@pytest.mark.parametrize(
-    ("kind", "place", "real"), PAIRS, ids=lambda one: getattr(one, "__name__", "")
-)
-def test_each_argument_goes_where_it_was_given(
-    kind: type[Any], place: str, real: type[Any]
-) -> None:
+@pytest.mark.parametrize(("kind", "real"), PAIRS, ids=lambda one: one.__name__)
+def test_each_argument_goes_where_it_was_given(kind: type[Any], real: type[Any]) -> None:
     for name in _public(kind, is_property=False):
         inner = _Noted()
-        method = getattr(_made(kind, place, inner), name)
+        method = getattr(_made(kind, inner), name)
         given = {parameter: object() for parameter in inspect.signature(method).parameters}
         method(**given)
         [(called, args, kwargs)] = inner.calls
@@ -130,28 +127,22 @@ def test_each_argument_goes_where_it_was_given(
         assert {key: value for key, value in taken.items() if key != "self"} == given, name
 
 
-@pytest.mark.parametrize(
-    ("kind", "place", "real"), PAIRS, ids=lambda one: getattr(one, "__name__", "")
-)
-def test_each_property_is_that_of_the_one_with_await(
-    kind: type[Any], place: str, real: type[Any]
-) -> None:
+@pytest.mark.parametrize(("kind", "real"), PAIRS, ids=lambda one: one.__name__)
+def test_each_property_is_that_of_the_one_with_await(kind: type[Any], real: type[Any]) -> None:
     del real  # mypy knows that it has them
     names = _public(kind, is_property=True)
     inner = SimpleNamespace(**{name: object() for name in names})
-    made = _made(kind, place, inner)
+    made = _made(kind, inner)
     for name in names:
         assert getattr(made, name) is getattr(inner, name), name
 
 
-@pytest.mark.parametrize(
-    ("kind", "place", "real"), PAIRS, ids=lambda one: getattr(one, "__name__", "")
-)
-def test_how_a_block_ends_is_passed_on(kind: type[Any], place: str, real: type[Any]) -> None:
+@pytest.mark.parametrize(("kind", "real"), PAIRS, ids=lambda one: one.__name__)
+def test_how_a_block_ends_is_passed_on(kind: type[Any], real: type[Any]) -> None:
     """A mission whose program failed is stopped, and one that was left is not."""
     del real
     inner, failed = _Noted(), KeyError()
-    made = _made(kind, place, inner)
+    made = _made(kind, inner)
     made._holding = inner
     made.__exit__(KeyError, failed, None)
     made.__exit__(None, None, None)
