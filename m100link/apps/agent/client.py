@@ -241,10 +241,9 @@ class AgentClient:
     """
 
     def __init__(self, channel: Channel, name: str) -> None:
-        loop = asyncio.get_running_loop()
-        self._clock = loop.time
-        self._channel = OwnLoop(channel)
-        self._name = name
+        self._loop = asyncio.get_running_loop()
+        self._clock = self._loop.time
+        self._channel, self._name = channel, name
         self.state = State(at=self.now)  #: where the agent stands
         self.heard_at = self.now  #: when a sign that the agent runs was heard last, s
         self.holder = LeaseChanged(0, "")  #: the holder of the lease
@@ -275,7 +274,7 @@ class AgentClient:
         self.on_lease: list[Callable[[LeaseChanged], None]] = []
         self._samples: Hub[Sample] = Hub()
         self._from_mobile: Hub[bytes] = Hub()
-        self._answers = PendingRequests(self._channel.send)
+        self._answers = PendingRequests(self._send)
         #: Time of the newest STOP that was heard of, s by this clock. Older orders are refused, and
         #: keys that a person released before it do not undo the STOP.
         self.stopped_at = -math.inf
@@ -337,12 +336,20 @@ class AgentClient:
         self._greet()
         return self
 
+    def _require_loop(self) -> None:
+        """Raise UsageError for a call of another thread: it would break the channel's messages."""
+        require_loop(self._loop, "the loop in which the client was made")
+
+    def _send(self, message: Message) -> None:
+        self._require_loop()
+        self._channel.send(message)
+
     def _greet(self) -> None:
-        self._channel.send(Hello(VERSION, self._name, self.now))
+        self._send(Hello(VERSION, self._name, self.now))
         self._channel.open(self._receive, self._closed)
 
     async def __aexit__(self, *_: object) -> None:
-        self._channel.require()
+        self._require_loop()
         await self.background.end()
         self._channel.close("the front ends")
         self._closed("it was closed here")
@@ -352,15 +359,14 @@ class AgentClient:
 
         Leases of the earlier agent do not hold here.
         """
-        self._channel.require()
+        self._require_loop()
         if self.events:
             self._known_until = self.events[-1].at
         # Counted, because another agent may give the same number of a lease to somebody else.
         self.agents_before += 1
         self.state, self.heard_at = State(at=self.now), self.now
         self.telemetry = self.link = None  # of another aircraft, maybe
-        self._channel = OwnLoop(channel)
-        self._answers.begin(self._channel.send)
+        self._channel, self._answers.gone = channel, None
         self._view = None  # of the agent before
         self._greet()
 
@@ -526,17 +532,17 @@ class AgentClient:
 
     def keep(self, lease: Lease) -> None:
         """Renew a lease without waiting for the answer."""
-        self._channel.send(Ask(0, orders.RenewLease(lease.token)))
+        self._send(Ask(0, orders.RenewLease(lease.token)))
 
     def let_go(self, lease: Lease) -> None:
         """Give a lease back without waiting for the answer: motion stops at once."""
-        self._channel.send(Ask(0, orders.ReleaseLease(lease.token)))
+        self._send(Ask(0, orders.ReleaseLease(lease.token)))
 
     # -- flying ----------------------------------------------------------------------------------
 
     def steer(self, lease: Lease, setpoint: Setpoint, lifetime: float = SETPOINT_LIFETIME) -> None:
         """Fly this for its lifetime; renews the lease. A refusal comes to ``on_steer_refused``."""
-        self._channel.send(Steer(lease.number, self._clock(), lifetime, setpoint))
+        self._send(Steer(lease.number, self._clock(), lifetime, setpoint))
 
     def hover(
         self,
@@ -552,7 +558,7 @@ class AgentClient:
         after it fly, unless a STOP came since.
         """
         fence, sent_at = lease.number if lease else 0, min(at, self._clock())
-        self._channel.send(Ask(0, orders.Halt(why, begins_anew), fence, sent_at))
+        self._send(Ask(0, orders.Halt(why, begins_anew), fence, sent_at))
 
     def halt(self, why: str = "", lease: Lease | None = None) -> None:
         """Old name of :meth:`hover`."""
@@ -576,7 +582,7 @@ class AgentClient:
 
     def note(self, text: str, level: str = "info") -> None:
         """Add an event to the agent's journal; many at once are dropped."""
-        self._channel.send(JournalNote(level, text))
+        self._send(JournalNote(level, text))
 
 
 # -- questions of a front that wait for the agent's answer -----------------------------------------
@@ -623,10 +629,6 @@ class PendingRequests:
         finally:
             self._waiting.pop(number, None)
 
-    def begin(self, send: Callable[[Message], None]) -> None:
-        """Another agent answers from now on; nothing that the one before was asked is left."""
-        self._send, self.gone = send, None
-
     def end(self, reason: str) -> None:
         """The agent has gone: nobody waits for it any longer."""
         self.gone = reason
@@ -657,34 +659,3 @@ def given(value: T | None) -> T:
     if value is None:
         raise MessageError("the agent answered without what was asked for")
     return value
-
-
-# -- A channel that only the event loop in which it was made may use -------------------------------
-
-
-_MADE_IN = "the loop in which the client was made"
-
-
-class OwnLoop:
-    """A channel of one event loop: a call of another thread would break its messages."""
-
-    def __init__(self, channel: Channel) -> None:
-        self._channel = channel
-        self._loop = asyncio.get_running_loop()
-
-    def require(self) -> None:
-        """Raise UsageError where another event loop runs, or this one elsewhere or nowhere."""
-        require_loop(self._loop, _MADE_IN)
-
-    def open(self, on_message: Callable[[Message], None], on_closed: Callable[[str], None]) -> None:
-        self.require()
-        self._channel.open(on_message, on_closed)
-
-    def send(self, message: Message) -> None:
-        """Send a message; never waits. Raises as :meth:`require`, and MessageError."""
-        require_loop(self._loop, _MADE_IN)
-        self._channel.send(message)
-
-    def close(self, reason: str = "") -> None:
-        self.require()
-        self._channel.close(reason)

@@ -13,14 +13,13 @@ import anyio
 import pytest
 
 from m100link.apps.agent import orders
-from m100link.apps.agent.client import AgentClient, Hearing, OwnLoop, PendingRequests
+from m100link.apps.agent.client import AgentClient, Hearing, PendingRequests
 from m100link.apps.agent.connect import by_driver
 from m100link.apps.agent.lease import Lease, LeaseHeld, LeaseRefused
 from m100link.apps.agent.messages import (
     VERSION,
     Ask,
     Hello,
-    JournalNote,
     Message,
     OrderOutcome,
     PlanChanged,
@@ -381,37 +380,6 @@ async def test_an_agent_that_is_started_again_is_heard_from_then_on(
     assert hearing == (Hearing.SILENT, Hearing.HEARD)  # it has two seconds for its first word
 
 
-# -- A channel for one event loop: everybody else is refused, and the channel never hears of it ----
-
-
-def ignore(_: object) -> None:
-    """Nobody listens."""
-
-
-@pytest.mark.parametrize(
-    "call",
-    [
-        lambda channel: channel.require(),
-        lambda channel: channel.open(ignore, ignore),
-        lambda channel: channel.send(JournalNote("info", "from elsewhere")),
-        lambda channel: channel.close("from elsewhere"),
-    ],
-)
-async def test_only_its_own_event_loop_uses_it(call: Callable[[OwnLoop], None]) -> None:
-    ours, its = memory_channels()
-    inbox: list[Message] = []
-    closed: list[str] = []
-    its.open(inbox.append, closed.append)
-    channel = OwnLoop(ours)
-    assert_told(elsewhere(lambda: plainly(lambda: call(channel))))
-    assert (inbox, closed) == ([], [])
-    call(channel)
-    channel.send(JournalNote("info", "from here"))
-    channel.close("done")
-    assert bool(inbox) is not (closed == ["from elsewhere"])
-    assert closed
-
-
 # -- questions: asked, begun, over or unknown ------------------------------------------------------
 
 
@@ -497,7 +465,7 @@ async def test_many_answers_in_any_order_reach_their_askers(seed: int) -> None:
         if told != "begun":
             expected.setdefault(number, ENDS[told])
     answers.end("killed")
-    answers.begin(sent.append)  # another agent
+    answers.gone = None  # another agent
     for number in asked:
         TOLD["done"](answers, number)
     for number, task in asked.items():
