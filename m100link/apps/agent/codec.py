@@ -409,10 +409,6 @@ _LONGEST_S = 1e10
 """No clock of an agent, nor a flight, is three centuries old."""
 
 
-def _event(event: Event) -> str:
-    return "" if event.level in LEVELS else "level is none"
-
-
 def _state(state: State) -> str:
     if state.connection not in _CONNECTIONS:
         return "connection is none"
@@ -434,15 +430,11 @@ def _counted(counted: LinkCounted) -> str:
     return ""
 
 
-def _activating(activating: Activating) -> str:
-    return "" if activating.code in _CODES else "code is none"
-
-
 _WHY_NOT: dict[type[Any], Callable[[Any], str]] = {
-    Event: _event,
+    Event: lambda event: "" if event.level in LEVELS else "level is none",
     State: _state,
     LinkCounted: _counted,
-    Activating: _activating,
+    Activating: lambda answer: "" if answer.code in _CODES else "code is none",
 }
 
 

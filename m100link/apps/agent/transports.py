@@ -44,6 +44,25 @@ class Channel(Protocol):
         """Close it, and send the other end the reason. May be called any number of times."""
 
 
+class Receiver:
+    """The side of an end at which messages come: an error of their taker is logged, and no more.
+
+    As with a socket, a failure at one end does not reach the other.
+    """
+
+    def __init__(self) -> None:
+        self._log = SparingLogger(_logger)
+        self._on_message: Callable[[Message], None] | None = None
+        self._on_closed: Callable[[str], None] | None = None
+
+    def _hand_over(self, message: Message) -> None:
+        try:
+            if self._on_message is not None:
+                self._on_message(message)
+        except Exception:  # noqa: BLE001 (logged)
+            self._log.exception("a %s was not taken", type(message).__name__)
+
+
 # -- A carrier inside one event loop: a message has arrived when ``send`` returns ------------------
 # For tests on virtual time, and for an agent and its fronts in a single process.
 
@@ -51,7 +70,7 @@ class Channel(Protocol):
 _MAX_WAITING = 1000
 
 
-class MemoryChannel:
+class MemoryChannel(Receiver):
     """One end; see :class:`m100link.apps.agent.transports.Channel`.
 
     Args:
@@ -60,11 +79,9 @@ class MemoryChannel:
     """
 
     def __init__(self, *, as_bytes: bool = False) -> None:
+        super().__init__()
         self._as_bytes = as_bytes
-        self._log = SparingLogger(_logger)
         self._peer: MemoryChannel | None = None
-        self._on_message: Callable[[Message], None] | None = None
-        self._on_closed: Callable[[str], None] | None = None
         # Messages that came before this end was opened.
         self._waiting: deque[Message] = deque(maxlen=_MAX_WAITING)
 
@@ -86,12 +103,8 @@ class MemoryChannel:
     def _deliver(self, message: Message) -> None:
         if self._on_message is None:
             self._waiting.append(message)
-            return
-        try:
-            self._on_message(message)
-        except Exception:  # noqa: BLE001 (logged)
-            # As with a socket: a failure at one end does not reach the other.
-            self._log.exception("a %s was not taken", type(message).__name__)
+        else:
+            self._hand_over(message)
 
     def close(self, reason: str = "") -> None:
         """Close both ends."""
@@ -127,7 +140,7 @@ _LENGTH = struct.Struct("<I")
 _CREDENTIALS = struct.Struct("3i")  # struct ucred: process, user, group
 
 
-class UnixChannel(asyncio.BufferedProtocol):
+class UnixChannel(Receiver, asyncio.BufferedProtocol):
     """One end; see :class:`m100link.apps.agent.transports.Channel`.
 
     Args:
@@ -137,12 +150,10 @@ class UnixChannel(asyncio.BufferedProtocol):
     """
 
     def __init__(self, on_connected: Callable[[UnixChannel], None] | None = None) -> None:
-        self._log = SparingLogger(_logger)
+        super().__init__()
         self._on_connected = on_connected
         self._loop = asyncio.get_running_loop()
         self._transport: asyncio.Transport | None = None
-        self._on_message: Callable[[Message], None] | None = None
-        self._on_closed: Callable[[str], None] | None = None
         # Room for the longest message, so that none of it is made anew for each.
         self._received = bytearray(_LENGTH.size + MAX_SIZE)
         self._space = memoryview(self._received)
@@ -213,12 +224,8 @@ class UnixChannel(asyncio.BufferedProtocol):
         if isinstance(message, Goodbye):
             self._reason = message.reason
             self._end()
-        elif self._on_message is not None:
-            try:
-                self._on_message(message)
-            except Exception:  # noqa: BLE001 (logged)
-                # A failure with one message does not end the reader.
-                self._log.exception("a %s was not taken", type(message).__name__)
+        else:
+            self._hand_over(message)
 
     def _refuse(self, reason: str) -> None:
         """End it for a bad message: neither end has asked for that, so both get the reason."""

@@ -15,7 +15,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from m100link.apps.agent import orders
-from m100link.apps.agent.background import SparingLogger, TaskSet
+from m100link.apps.agent.background import TaskSet
 from m100link.apps.agent.client import MAX_SILENCE
 from m100link.apps.agent.lease import (
     LEASE_LIFETIME,
@@ -45,6 +45,7 @@ from m100link.apps.agent.messages import (
     agent_gone,
 )
 from m100link.apps.agent.orders import Right
+from m100link.apps.agent.transports import Receiver
 from m100link.apps.bus.network import Held
 from m100link.apps.fleet.asking import Asker
 from m100link.apps.fleet.payloads import OrderReply, pack_steer, unpack_message
@@ -82,7 +83,7 @@ async def reach(asker: Callable[[str], Asker]) -> FleetChannel:
     return channel
 
 
-class FleetChannel:
+class FleetChannel(Receiver):
     """A front's end; see :class:`m100link.apps.agent.transports.Channel`.
 
     A lease that was granted here counts as lost when nothing that the agent says shows it in force
@@ -97,6 +98,7 @@ class FleetChannel:
         # a program flies hundreds, and asks each for what it wants to know.
         hears: bool = True,
     ) -> None:
+        super().__init__()
         self._hears = hears
         self._asker_of, self._asker = asker, asker("")
         self._bus, self._keys = self._asker.bus, self._asker.keys
@@ -105,8 +107,6 @@ class FleetChannel:
         self._outlet = self._bus.publish(self._keys.setpoint)
         self._sent_at = -math.inf  # the newest setpoint
         self._background = TaskSet()
-        self._on_message: Callable[[Message], None] | None = None
-        self._on_closed: Callable[[str], None] | None = None
         self._held: list[Held] = []
         self._telemetry: Held | None = None
         self._is_full = False
@@ -128,7 +128,6 @@ class FleetChannel:
         # Messages that this version cannot read, and that were too long on their way to say
         # anything.
         self.unread = self.old = 0
-        self._log = SparingLogger(_logger)
         self.unread_why = ""
 
     # -- the channel -----------------------------------------------------------------------------
@@ -295,13 +294,8 @@ class FleetChannel:
             self._deliver(change)
 
     def _deliver(self, message: Message) -> None:
-        if self._on_message is None or self._is_closed:
-            return
-        try:
-            self._on_message(message)
-        except Exception:  # noqa: BLE001 (logged)
-            # As with a socket: an error at one end does not happen to the other.
-            self._log.exception("a %s was not taken", type(message).__name__)
+        if not self._is_closed:
+            self._hand_over(message)
 
     # -- what goes out ---------------------------------------------------------------------------
 
