@@ -18,35 +18,9 @@ from functools import partial
 from typing import Any, Self, TypeVar
 from warnings import warn
 
-from m100link.apps.agent import orders
+from m100link.apps.agent import messages, orders
 from m100link.apps.agent.background import TaskSet, call_each
 from m100link.apps.agent.lease import Lease, TakeOver, not_in_force
-from m100link.apps.agent.messages import (
-    VERSION,
-    Activating,
-    Ask,
-    AuthorityTaken,
-    Event,
-    EventTopic,
-    Hello,
-    JournalNote,
-    LeaseChanged,
-    LinkCounted,
-    Message,
-    MessageError,
-    MissionReport,
-    MobileMessage,
-    OrderOutcome,
-    PlanChanged,
-    RemoteError,
-    Stage,
-    State,
-    Steer,
-    SteerRefused,
-    Telemetry,
-    agent_gone,
-    agent_lost,
-)
 from m100link.apps.agent.orders import SETPOINT_LIFETIME
 from m100link.apps.agent.transports import Channel
 from m100link.errors import AuthorityLost, BadPlan, LayoutMismatch, M100Error, NotObserved
@@ -101,8 +75,8 @@ class VehicleView:
     at: float  # the moment on the clock of the front, s
     heard_at: float  # when anything of the agent was heard last, by the same clock, s
     is_gone: bool  # whether the agent has gone
-    state: State  # where the agent stands, as it reported last
-    holder: LeaseChanged  # the holder of the lease, as reported last
+    state: messages.State  # where the agent stands, as it reported last
+    holder: messages.LeaseChanged  # the holder of the lease, as reported last
     # Every arrival, however old: for statistics, and for previews of refusals. None while no
     # aircraft is connected.
     telemetry: AircraftState | None
@@ -228,8 +202,11 @@ class VehicleView:
 
 # Messages that do not show that the agent runs: a network's channel makes the first three itself
 # when nothing arrives any more, and an agent sends events however old they are.
-_NO_SIGN = frozenset({OrderOutcome, SteerRefused, LeaseChanged, Event})
+_NO_SIGN = frozenset(
+    {messages.OrderOutcome, messages.SteerRefused, messages.LeaseChanged, messages.Event}
+)
 _MAX_EVENTS = 200
+_MADE_IN = "the loop in which the client was made"
 
 
 class AgentClient:
@@ -244,23 +221,23 @@ class AgentClient:
         self._loop = asyncio.get_running_loop()
         self._clock = self._loop.time
         self._channel, self._name = channel, name
-        self.state = State(at=self.now)  #: where the agent stands
+        self.state = messages.State(at=self.now)  #: where the agent stands
         self.heard_at = self.now  #: when a sign that the agent runs was heard last, s
-        self.holder = LeaseChanged(0, "")  #: the holder of the lease
+        self.holder = messages.LeaseChanged(0, "")  #: the holder of the lease
         self.agents_before = 0  #: how many have gone; each counts its leases from 1, maybe
         #: Counters of the line to the aircraft; None before the first, and while there is no line.
-        self.link: LinkCounted | None = None
+        self.link: messages.LinkCounted | None = None
         #: Newest values and their ages; None while no aircraft is connected. When the agent itself
         #: is gone the values stay, and grow old.
         self.telemetry: AircraftState | None = None
         self._view: VehicleView | None = None  # of this moment; None once something has arrived
-        self.events: deque[Event] = deque(maxlen=_MAX_EVENTS)  #: the newest events
+        self.events: deque[messages.Event] = deque(maxlen=_MAX_EVENTS)  #: the newest events
         self.background = TaskSet()  #: tasks that end with this client
         self.unread = 0  #: telemetry packages and plans that this version cannot read
         #: The plan that was uploaded and may be started, or flies; None for none.
         self.plan: WaypointPlan | None = None
         self.plan_by = ""  #: the name of its uploader, for people
-        self.on_event: list[Callable[[Event], None]] = []  #: called with each event
+        self.on_event: list[Callable[[messages.Event], None]] = []  #: called with each event
         #: Called with each telemetry package; :meth:`samples` wakes a task for each.
         self.on_sample: list[Callable[[Sample], None]] = []
         #: Called with each answer of the aircraft to an activation.
@@ -269,9 +246,9 @@ class AgentClient:
         self.on_authority_taken: list[Callable[[AuthorityLost], None]] = []
         #: Called with the fence and the reason when a setpoint was not flown.
         self.on_steer_refused: list[Callable[[int, M100Error], None]] = []
-        self.on_mission_report: list[Callable[[MissionReport], None]] = []
+        self.on_mission_report: list[Callable[[messages.MissionReport], None]] = []
         #: Called when the lease changed hands.
-        self.on_lease: list[Callable[[LeaseChanged], None]] = []
+        self.on_lease: list[Callable[[messages.LeaseChanged], None]] = []
         self._samples: Hub[Sample] = Hub()
         self._from_mobile: Hub[bytes] = Hub()
         self._answers = PendingRequests(self._send)
@@ -282,19 +259,19 @@ class AgentClient:
         # Time of the last event of the agent before, whose events another way tells again.
         self._known_until = -math.inf
         self._handlers: dict[type[Any], Callable[[Any], None]] = {
-            Hello: self._on_hello,
-            State: self._on_state,
-            Telemetry: self._on_telemetry,
-            MobileMessage: self._on_from_mobile,
-            Event: self._on_event,
-            LinkCounted: partial(setattr, self, "link"),
-            LeaseChanged: self._on_lease_changed,
-            OrderOutcome: self._answers.outcome,
-            Activating: self._on_activating,
-            AuthorityTaken: self._on_authority_taken,
-            SteerRefused: self._on_steer_refused,
-            MissionReport: partial(call_each, self.on_mission_report),
-            PlanChanged: self._on_plan_changed,
+            messages.Hello: self._on_hello,
+            messages.State: self._on_state,
+            messages.Telemetry: self._on_telemetry,
+            messages.MobileMessage: self._on_from_mobile,
+            messages.Event: self._on_event,
+            messages.LinkCounted: partial(setattr, self, "link"),
+            messages.LeaseChanged: self._on_lease_changed,
+            messages.OrderOutcome: self._answers.outcome,
+            messages.Activating: self._on_activating,
+            messages.AuthorityTaken: self._on_authority_taken,
+            messages.SteerRefused: self._on_steer_refused,
+            messages.MissionReport: partial(call_each, self.on_mission_report),
+            messages.PlanChanged: self._on_plan_changed,
         }
 
     @property
@@ -336,20 +313,16 @@ class AgentClient:
         self._greet()
         return self
 
-    def _require_loop(self) -> None:
-        """Raise UsageError for a call of another thread: it would break the channel's messages."""
-        require_loop(self._loop, "the loop in which the client was made")
-
-    def _send(self, message: Message) -> None:
-        self._require_loop()
+    def _send(self, message: messages.Message) -> None:
+        require_loop(self._loop, _MADE_IN)  # a call of another thread would break its messages
         self._channel.send(message)
 
     def _greet(self) -> None:
-        self._send(Hello(VERSION, self._name, self.now))
+        self._send(messages.Hello(messages.VERSION, self._name, self.now))
         self._channel.open(self._receive, self._closed)
 
     async def __aexit__(self, *_: object) -> None:
-        self._require_loop()
+        require_loop(self._loop, _MADE_IN)
         await self.background.end()
         self._channel.close("the front ends")
         self._closed("it was closed here")
@@ -359,12 +332,12 @@ class AgentClient:
 
         Leases of the earlier agent do not hold here.
         """
-        self._require_loop()
+        require_loop(self._loop, _MADE_IN)
         if self.events:
             self._known_until = self.events[-1].at
         # Counted, because another agent may give the same number of a lease to somebody else.
         self.agents_before += 1
-        self.state, self.heard_at = State(at=self.now), self.now
+        self.state, self.heard_at = messages.State(at=self.now), self.now
         self.telemetry = self.link = None  # of another aircraft, maybe
         self._channel, self._answers.gone = channel, None
         self._view = None  # of the agent before
@@ -372,7 +345,7 @@ class AgentClient:
 
     # -- what comes in ---------------------------------------------------------------------------
 
-    def _receive(self, message: Message) -> None:
+    def _receive(self, message: messages.Message) -> None:
         self._view = None
         if type(message) not in _NO_SIGN:
             self.heard_at = self._clock()
@@ -386,31 +359,31 @@ class AgentClient:
         self.state = replace(
             self.state,
             connection="lost",
-            connection_fault=RemoteError.of(agent_gone(reason)),
+            connection_fault=messages.RemoteError.of(messages.agent_gone(reason)),
             has_authority=False,
             holding="none",
             task="",
             pattern="",
             guided=None,
         )
-        self.holder = LeaseChanged(0, "")
+        self.holder = messages.LeaseChanged(0, "")
         self._answers.end(reason)
         self._view = None
 
-    def _on_hello(self, hello: Hello) -> None:
-        if hello.version != VERSION:
-            reason = f"it speaks version {hello.version}, this front {VERSION}"
+    def _on_hello(self, hello: messages.Hello) -> None:
+        if hello.version != messages.VERSION:
+            reason = f"it speaks version {hello.version}, this front {messages.VERSION}"
             self._channel.close(reason)
             self._closed(reason)
 
-    def _on_state(self, state: State) -> None:
+    def _on_state(self, state: messages.State) -> None:
         self.state = state
         if state.connection != "connected":
             self.telemetry = self.link = None
         elif self.telemetry is None:
             self.telemetry = AircraftState(lambda: self.view.now)
 
-    def _on_telemetry(self, message: Telemetry) -> None:
+    def _on_telemetry(self, message: messages.Telemetry) -> None:
         try:
             sample = Sample(message.value, PROFILES[message.profile], message.received_at)
         except (KeyError, LayoutMismatch):
@@ -422,37 +395,37 @@ class AgentClient:
         call_each(self.on_sample, sample)
         self._samples.publish(sample, self.now)
 
-    def _on_from_mobile(self, message: MobileMessage) -> None:
+    def _on_from_mobile(self, message: messages.MobileMessage) -> None:
         self._from_mobile.publish(message.data, self.now)
 
-    def _on_event(self, event: Event) -> None:
+    def _on_event(self, event: messages.Event) -> None:
         if event.at <= self._known_until:
             return
         if self.events and event.number <= self.events[-1].number:
             # Another agent counts anew, and pages tell events apart by their numbers.
             event = replace(event, number=self.events[-1].number + 1)
         self.events.append(event)
-        if event.topic is EventTopic.STOPPED:
+        if event.topic is messages.EventTopic.STOPPED:
             self.stopped_at = self._clock()
             self._stops += 1
         call_each(self.on_event, event)
 
-    def _on_lease_changed(self, message: LeaseChanged) -> None:
+    def _on_lease_changed(self, message: messages.LeaseChanged) -> None:
         self.holder = message
         call_each(self.on_lease, message)
 
-    def _on_activating(self, message: Activating) -> None:
+    def _on_activating(self, message: messages.Activating) -> None:
         call_each(self.on_activating, ActivationCode(message.code))
 
-    def _on_authority_taken(self, message: AuthorityTaken) -> None:
+    def _on_authority_taken(self, message: messages.AuthorityTaken) -> None:
         error = message.fault.error()
         if isinstance(error, AuthorityLost):
             call_each(self.on_authority_taken, error)
 
-    def _on_steer_refused(self, message: SteerRefused) -> None:
+    def _on_steer_refused(self, message: messages.SteerRefused) -> None:
         call_each(self.on_steer_refused, message.fence, message.fault.error())
 
-    def _on_plan_changed(self, message: PlanChanged) -> None:
+    def _on_plan_changed(self, message: messages.PlanChanged) -> None:
         self.plan, self.plan_by = None, message.name
         if message.plan is not None:
             try:
@@ -468,7 +441,7 @@ class AgentClient:
         lease: Lease | None = None,
         accepted: Callable[[], None] | None = None,
         asked_at: float | None = None,
-    ) -> OrderOutcome:
+    ) -> messages.OrderOutcome:
         """Give an order, and wait for its outcome.
 
         ``accepted`` is called when the aircraft has begun, where it takes a while. ``asked_at``:
@@ -532,17 +505,17 @@ class AgentClient:
 
     def keep(self, lease: Lease) -> None:
         """Renew a lease without waiting for the answer."""
-        self._send(Ask(0, orders.RenewLease(lease.token)))
+        self._send(messages.Ask(0, orders.RenewLease(lease.token)))
 
     def let_go(self, lease: Lease) -> None:
         """Give a lease back without waiting for the answer: motion stops at once."""
-        self._send(Ask(0, orders.ReleaseLease(lease.token)))
+        self._send(messages.Ask(0, orders.ReleaseLease(lease.token)))
 
     # -- flying ----------------------------------------------------------------------------------
 
     def steer(self, lease: Lease, setpoint: Setpoint, lifetime: float = SETPOINT_LIFETIME) -> None:
         """Fly this for its lifetime; renews the lease. A refusal comes to ``on_steer_refused``."""
-        self._send(Steer(lease.number, self._clock(), lifetime, setpoint))
+        self._send(messages.Steer(lease.number, self._clock(), lifetime, setpoint))
 
     def hover(
         self,
@@ -558,7 +531,7 @@ class AgentClient:
         after it fly, unless a STOP came since.
         """
         fence, sent_at = lease.number if lease else 0, min(at, self._clock())
-        self._send(Ask(0, orders.Halt(why, begins_anew), fence, sent_at))
+        self._send(messages.Ask(0, orders.Halt(why, begins_anew), fence, sent_at))
 
     def halt(self, why: str = "", lease: Lease | None = None) -> None:
         """Old name of :meth:`hover`."""
@@ -582,7 +555,7 @@ class AgentClient:
 
     def note(self, text: str, level: str = "info") -> None:
         """Add an event to the agent's journal; many at once are dropped."""
-        self._send(JournalNote(level, text))
+        self._send(messages.JournalNote(level, text))
 
 
 # -- questions of a front that wait for the agent's answer -----------------------------------------
@@ -591,13 +564,13 @@ class AgentClient:
 class PendingRequests:
     """The questions without an answer yet, by number."""
 
-    def __init__(self, send: Callable[[Message], None]) -> None:
+    def __init__(self, send: Callable[[messages.Message], None]) -> None:
         self._send = send
         self._create_future = asyncio.get_running_loop().create_future
         self._count = 0
         # By number, with the callback for its begin.
         self._waiting: dict[
-            int, tuple[asyncio.Future[OrderOutcome], Callable[[], None] | None]
+            int, tuple[asyncio.Future[messages.OrderOutcome], Callable[[], None] | None]
         ] = {}
         # Why the agent will answer no more, once it has gone; None before.
         self.gone: str | None = None
@@ -608,7 +581,7 @@ class PendingRequests:
         fence: int,
         accepted: Callable[[], None] | None,
         asked_at: float | None = None,
-    ) -> OrderOutcome:
+    ) -> messages.OrderOutcome:
         """Ask for something, and wait for the answer.
 
         Raises:
@@ -617,14 +590,14 @@ class PendingRequests:
             LinkLost: It goes meanwhile, and may have done it.
         """
         if self.gone is not None:
-            raise agent_gone(self.gone)
+            raise messages.agent_gone(self.gone)
         self._count += 1
         number = self._count
         # Known before it leaves: inside one process the answer is here when send() returns.
-        answer: asyncio.Future[OrderOutcome] = self._create_future()
+        answer: asyncio.Future[messages.OrderOutcome] = self._create_future()
         self._waiting[number] = answer, accepted
         try:
-            self._send(Ask(number, order, fence, asked_at, accepted is not None))
+            self._send(messages.Ask(number, order, fence, asked_at, accepted is not None))
             return await answer
         finally:
             self._waiting.pop(number, None)
@@ -635,16 +608,16 @@ class PendingRequests:
         waiting, self._waiting = list(self._waiting.values()), {}
         for answer, _ in waiting:
             if not answer.done():
-                answer.set_exception(agent_lost(reason))
+                answer.set_exception(messages.agent_lost(reason))
 
     # -- what comes in ---------------------------------------------------------------------------
 
-    def outcome(self, outcome: OrderOutcome) -> None:
+    def outcome(self, outcome: messages.OrderOutcome) -> None:
         """The end of a question. It stays the end, and a question begins once."""
         answer, accepted = self._waiting.get(outcome.id, (None, None))
         if answer is None or answer.done():
             return
-        if outcome.stage is Stage.ACCEPTED:
+        if outcome.stage is messages.Stage.ACCEPTED:
             self._waiting[outcome.id] = answer, None
             if accepted is not None:
                 accepted()
@@ -657,5 +630,5 @@ class PendingRequests:
 def given(value: T | None) -> T:
     """The value of an answer. Raises MessageError: it has none."""
     if value is None:
-        raise MessageError("the agent answered without what was asked for")
+        raise messages.MessageError("the agent answered without what was asked for")
     return value

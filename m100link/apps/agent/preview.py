@@ -9,20 +9,13 @@ from dataclasses import asdict
 from m100link.apps.agent.messages import GuardLimits
 from m100link.apps.agent.orders import ChangeHeading, ChangeHeight, FlyAround, FlyTo, GuidedOrder
 from m100link.errors import GuardRefused, LinkError
-from m100link.flight.foresight import (
-    Foresight,
-    foresee_climb,
-    foresee_flight,
-    foresee_orbit,
-    foresee_turn,
-    frame_at,
-)
+from m100link.flight import foresight
 from m100link.flight.guards import Envelope, GuardKeeper, Guards
 from m100link.flight.missions.context import check_battery, check_plan
 from m100link.missions.plan import WaypointPlan
 from m100link.telemetry.state import AircraftState
 
-Preview = Foresight
+Preview = foresight.Foresight
 """Distance, time, battery, and the refusals that are foreseen."""
 
 
@@ -39,15 +32,15 @@ def preview(order: GuidedOrder, state: AircraftState | None, limits: GuardLimits
         return Preview(refusals=(error,))
     guards = _guards_of(state, limits)
     if isinstance(order, FlyTo):
-        return foresee_flight(state, guards, **asdict(order))
+        return foresight.foresee_flight(state, guards, **asdict(order))
     if isinstance(order, FlyAround):
         circle = asdict(order)
         del circle["clockwise"]  # either way is as long
-        return foresee_orbit(state, guards, **circle)
+        return foresight.foresee_orbit(state, guards, **circle)
     if isinstance(order, ChangeHeight):
-        return foresee_climb(state, guards, order.height)
+        return foresight.foresee_climb(state, guards, order.height)
     assert isinstance(order, ChangeHeading)
-    return foresee_turn(state, guards, order.yaw_deg)
+    return foresight.foresee_turn(state, guards, order.yaw_deg)
 
 
 def preview_plan(
@@ -82,5 +75,5 @@ def _guards_of(state: AircraftState, limits: GuardLimits) -> GuardKeeper:
     guards = Guards(envelope=envelope, battery_floor_percent=limits.battery_floor_percent)
     origin = None
     if limits.latitude_deg is not None and limits.longitude_deg is not None:
-        origin = frame_at(limits.latitude_deg, limits.longitude_deg)
+        origin = foresight.frame_at(limits.latitude_deg, limits.longitude_deg)
     return GuardKeeper(guards, state, origin)

@@ -93,18 +93,13 @@ class MemoryChannel(Receiver):
         """Begin to receive; waiting messages come first."""
         self._on_message, self._on_closed = on_message, on_closed
         while self._waiting:
-            self._deliver(self._waiting.popleft())
+            self._hand_over(self._waiting.popleft())
 
     def send(self, message: Message) -> None:
         """The other end has it when this returns."""
-        if self._peer is not None:
-            self._peer._deliver(decode(encode(message)) if self._as_bytes else message)
-
-    def _deliver(self, message: Message) -> None:
-        if self._on_message is None:
-            self._waiting.append(message)
-        else:
-            self._hand_over(message)
+        if (peer := self._peer) is not None:
+            message = decode(encode(message)) if self._as_bytes else message
+            (peer._waiting.append if peer._on_message is None else peer._hand_over)(message)
 
     def close(self, reason: str = "") -> None:
         """Close both ends."""

@@ -16,22 +16,7 @@ from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from m100link.apps.bus.network import (
-    AT_ONCE,
-    DEPTH,
-    BatchingPublisher,
-    Bundle,
-    Held,
-    Inbox,
-    Outlet,
-    PollingReader,
-    QueryAnswer,
-    Question,
-    Received,
-    Ring,
-    ThreadQueue,
-    TokenChange,
-)
+from m100link.apps.bus import network
 from m100link.errors import UsageError
 from m100link.errors.texts import read_json
 
@@ -79,7 +64,7 @@ class _Declared:
             _unless_closed(declared.undeclare)
 
 
-class _Outlet(_Declared, Outlet):
+class _Outlet(_Declared, network.Outlet):
     def __init__(self, declared: Any, *, is_kept: bool) -> None:
         import zenoh
 
@@ -141,7 +126,7 @@ class ZenohBus:
         self._zenoh = zenoh
         self._session, self._largest = session, largest
         self._loop = asyncio.get_running_loop()
-        self._bundle = Bundle(self._loop)
+        self._bundle = network.Bundle(self._loop)
 
     @property
     def session(self) -> str:
@@ -153,7 +138,7 @@ class ZenohBus:
 
     # -- senders ---------------------------------------------------------------------------------
 
-    def publish(self, key: str, *, kept: int = 0, within: float = 0.0) -> Outlet:
+    def publish(self, key: str, *, kept: int = 0, within: float = 0.0) -> network.Outlet:
         """Offer messages under a key; UsageError where they are kept, and this session cannot."""
         drop = self._zenoh.CongestionControl.DROP
         if not kept:
@@ -162,7 +147,7 @@ class ZenohBus:
                 key, congestion_control=drop, allowed_destination=self._zenoh.Locality.REMOTE
             )
             outlet = _Outlet(publisher, is_kept=False)
-            return BatchingPublisher(outlet, self._bundle, within) if within else outlet
+            return network.BatchingPublisher(outlet, self._bundle, within) if within else outlet
         import zenoh.ext  # which the package does not load by itself
 
         try:
@@ -181,15 +166,15 @@ class ZenohBus:
             ) from error
         return _Outlet(latched, is_kept=True)
 
-    def declare(self, token: str) -> Held:
+    def declare(self, token: str) -> network.Held:
         return _Declared(self._session.liveliness().declare_token(token))
 
     # -- receivers -------------------------------------------------------------------------------
 
-    def _received(self, sample: zenoh.Sample) -> Received:
-        return Received(self._bytes(sample.payload), self._bytes(sample.attachment))
+    def _received(self, sample: zenoh.Sample) -> network.Received:
+        return network.Received(self._bytes(sample.payload), self._bytes(sample.attachment))
 
-    def _question(self, query: zenoh.Query) -> Question:
+    def _question(self, query: zenoh.Query) -> network.Question:
         drop: Callable[[], None] = query.drop
 
         def answer(key: str, payload: bytes, attachment: bytes | None = None) -> None:
@@ -197,7 +182,7 @@ class ZenohBus:
             drop()
 
         payload, attachment = self._bytes(query.payload), self._bytes(query.attachment)
-        return Question(str(query.key_expr), payload, answer, drop, attachment)
+        return network.Question(str(query.key_expr), payload, answer, drop, attachment)
 
     # -- handed over -----------------------------------------------------------------------------
 
@@ -206,12 +191,12 @@ class ZenohBus:
         pattern: str,
         take: Callable[[str, bytes], None],
         *,
-        depth: int = DEPTH,
+        depth: int = network.DEPTH,
         within: float = 0.0,
-    ) -> Held:
+    ) -> network.Held:
         if within:
             return self._look(pattern, take, depth, within)
-        queue = ThreadQueue(self._loop, take, depth)
+        queue = network.ThreadQueue(self._loop, take, depth)
 
         def heard(sample: zenoh.Sample) -> None:
             queue.put(str(sample.key_expr), self._bytes(sample.payload))
@@ -220,26 +205,28 @@ class ZenohBus:
 
     def _look(
         self, pattern: str, take: Callable[[str, bytes], None], depth: int, within: float
-    ) -> Held:
+    ) -> network.Held:
         channel: Any = self._zenoh.handlers.RingChannel(depth)
         declared: Any = self._session.declare_subscriber(pattern, channel)
 
         def made(sample: zenoh.Sample) -> tuple[str, bytes]:
             return str(sample.key_expr), self._bytes(sample.payload)
 
-        ring = Ring(declared, made, min(depth, AT_ONCE), self._zenoh.ZError)
-        return PollingReader(_Declared(declared), ring, lambda one: take(*one), within)
+        ring = network.Ring(declared, made, min(depth, network.AT_ONCE), self._zenoh.ZError)
+        return network.PollingReader(_Declared(declared), ring, lambda one: take(*one), within)
 
-    def serve(self, key: str, take: Callable[[Question], None], *, depth: int = DEPTH) -> Held:
-        queue = ThreadQueue(self._loop, take, depth)
+    def serve(
+        self, key: str, take: Callable[[network.Question], None], *, depth: int = network.DEPTH
+    ) -> network.Held:
+        queue = network.ThreadQueue(self._loop, take, depth)
 
         def heard(query: zenoh.Query) -> None:
             queue.put(self._question(query))
 
         return _Declared(self._session.declare_queryable(key, heard))
 
-    def watch(self, pattern: str, take: Callable[[str, bool], None]) -> Held:
-        queue = ThreadQueue(self._loop, take, DEPTH)
+    def watch(self, pattern: str, take: Callable[[str, bool], None]) -> network.Held:
+        queue = network.ThreadQueue(self._loop, take, network.DEPTH)
         put = self._zenoh.SampleKind.PUT
 
         def heard(sample: zenoh.Sample) -> None:
@@ -251,40 +238,44 @@ class ZenohBus:
 
     # -- taken in steps --------------------------------------------------------------------------
 
-    def inbox(self, pattern: str, depth: int) -> Inbox[Received]:
+    def inbox(self, pattern: str, depth: int) -> network.Inbox[network.Received]:
         ring: Any = self._zenoh.handlers.RingChannel(depth)
-        return Ring(
+        return network.Ring(
             self._session.declare_subscriber(pattern, ring),
             self._received,
             depth,
             self._zenoh.ZError,
         )
 
-    def questions(self, key: str, depth: int) -> Inbox[Question]:
+    def questions(self, key: str, depth: int) -> network.Inbox[network.Question]:
         ring: Any = self._zenoh.handlers.RingChannel(depth)
         # Complete: a client of rmw_zenoh asks those alone that answer for the whole key.
         declared = self._session.declare_queryable(key, ring, complete=True)
-        return Ring(declared, self._question, depth, self._zenoh.ZError)
+        return network.Ring(declared, self._question, depth, self._zenoh.ZError)
 
-    def changes(self, pattern: str) -> Inbox[TokenChange]:
-        ring: Any = self._zenoh.handlers.RingChannel(DEPTH)
+    def changes(self, pattern: str) -> network.Inbox[network.TokenChange]:
+        ring: Any = self._zenoh.handlers.RingChannel(network.DEPTH)
         declared = self._session.liveliness().declare_subscriber(pattern, ring, history=True)
         put = self._zenoh.SampleKind.PUT
 
-        def change(one: zenoh.Sample) -> TokenChange:
-            return TokenChange(str(one.key_expr), one.kind == put)
+        def change(one: zenoh.Sample) -> network.TokenChange:
+            return network.TokenChange(str(one.key_expr), one.kind == put)
 
-        return Ring(declared, change, DEPTH, self._zenoh.ZError)
+        return network.Ring(declared, change, network.DEPTH, self._zenoh.ZError)
 
-    def probe(self, key: str, *, timeout: float) -> Inbox[bool]:
+    def probe(self, key: str, *, timeout: float) -> network.Inbox[bool]:
         # No ring, which is emptied when the question has ended.
         queue: Any = self._zenoh.handlers.FifoChannel(_MOST_ANSWERS)
         asked = self._session.get(key, queue, timeout=timeout)
-        return Ring(asked, lambda reply: reply.ok is not None, _MOST_ANSWERS, self._zenoh.ZError)
+        return network.Ring(
+            asked, lambda reply: reply.ok is not None, _MOST_ANSWERS, self._zenoh.ZError
+        )
 
     # -- waited for ------------------------------------------------------------------------------
 
-    async def ask(self, key: str, payload: bytes = b"", *, timeout: float) -> list[QueryAnswer]:
+    async def ask(
+        self, key: str, payload: bytes = b"", *, timeout: float
+    ) -> list[network.QueryAnswer]:
 
         def get(handler: Any) -> None:
             self._session.get(
@@ -297,7 +288,7 @@ class ZenohBus:
             )
 
         return [
-            QueryAnswer(str(one.key_expr), self._bytes(one.payload), session)
+            network.QueryAnswer(str(one.key_expr), self._bytes(one.payload), session)
             for session, one in await self._replies(get, timeout)
         ]
 

@@ -26,6 +26,7 @@ from m100link.apps.agent.client import AgentClient, Hearing
 from m100link.apps.agent.messages import Event, EventTopic, MessageError, Telemetry
 from m100link.apps.agent.orders import Age, Right
 from m100link.apps.bus.network import Bus, Held, Question
+from m100link.apps.fleet import payloads
 from m100link.apps.fleet.expiry import Dropped, OrderExpiry, SetpointStream, broken, require_young
 from m100link.apps.fleet.identity import Since, nobody
 from m100link.apps.fleet.keys import Keys
@@ -33,15 +34,6 @@ from m100link.apps.fleet.lost_link import LastFlight, LostLinkAction, LostLinkPl
 from m100link.apps.fleet.missions.manager import MissionManager
 from m100link.apps.fleet.order_log import OrderCache, OrderLog
 from m100link.apps.fleet.orders import Done, OrderService
-from m100link.apps.fleet.payloads import (
-    Card,
-    OrderMessage,
-    OrderReply,
-    Progress,
-    pack,
-    unpack,
-    unpack_steer,
-)
 from m100link.apps.fleet.publisher import WALL_WITHIN_S, Thinner
 from m100link.errors import M100Error, NotAllowed, OutcomeUnknown, UsageError
 from m100link.protocol.records import Battery, Position
@@ -64,11 +56,11 @@ _LONG_ORDER_PAUSE_S = 0.02
 
 T = TypeVar("T")
 
-Verify = Callable[[OrderMessage], None]
+Verify = Callable[[payloads.OrderMessage], None]
 """Checks an order before anything is done; raises :class:`~m100link.errors.NotAllowed`."""
 
 
-def admit(order: OrderMessage, keys: Keys, kind: type[T], verify: Verify | None) -> T:
+def admit(order: payloads.OrderMessage, keys: Keys, kind: type[T], verify: Verify | None) -> T:
     """Return what an order asks for; refuse another kind, another aircraft, or a missing right."""
     if not isinstance(order.order, kind):
         raise MessageError(f"{type(order.order).__name__} does not belong under this key")
@@ -198,7 +190,7 @@ class FleetAgent:
     def _on_event(self, event: Event) -> None:
         if event.topic in (EventTopic.STOPPED, EventTopic.HALTED):
             self._ages.revoke(self.client.now)  # asked for at the station, too
-        self._event.put(pack(event))
+        self._event.put(payloads.pack(event))
 
     def _on_sample(self, sample: Sample) -> None:
         is_for_wall = self._thinner.goes_on(sample.flags, sample.received_at)
@@ -216,14 +208,14 @@ class FleetAgent:
         clock = asyncio.get_running_loop().time
         due = clock() + (own - clock()) % _CARD_S
         while True:
-            self._state.put_later(lambda: pack(self.card()))
+            self._state.put_later(lambda: payloads.pack(self.card()))
             self._look_for_duplicates()
             await asyncio.sleep(max(0.0, due - clock()))
             due += _CARD_S * (1 + max(0.0, clock() - due) // _CARD_S)
 
     def _on_own_state(self, key: str, payload: bytes) -> None:
         try:
-            card: Card = unpack(Card, payload)
+            card: payloads.Card = payloads.unpack(payloads.Card, payload)
         except MessageError:
             return  # of another version, or nothing that an agent tells
         self.duplicates.hear(card.boot, self.client.now)
@@ -241,10 +233,10 @@ class FleetAgent:
         elif had and not self._is_duplicate:
             client.note(f"no other agent is named {self._keys.name} any more")
 
-    def card(self) -> Card:
+    def card(self) -> payloads.Card:
         view, state = self.client.view, self.client.state
         position, battery, phase = view.get(Position), view.get(Battery), view.phase
-        return Card(
+        return payloads.Card(
             name=self._keys.name,
             boot=self.boot,
             at=self._utc(),
@@ -269,12 +261,12 @@ class FleetAgent:
         )
 
     def _on_state(self, question: Question) -> None:
-        question.answer(self._keys.state, pack(self.card()))
+        question.answer(self._keys.state, payloads.pack(self.card()))
 
     def _on_mission(self, question: Question) -> None:
         now = self.client.now
         if now - self._mission_at >= _AS_GOOD_AS_NEW_S:
-            self._mission = pack(self.missions.card(self._keys.name, self.boot))
+            self._mission = payloads.pack(self.missions.card(self._keys.name, self.boot))
             self._mission_at = now
         question.answer(self._keys.mission, self._mission)
 
@@ -303,18 +295,18 @@ class FleetAgent:
         # The key of this aircraft, whatever pattern was asked: of several answers under one key
         # the network hands over one, and hides the other's failure.
         try:
-            order: OrderMessage = unpack(OrderMessage, question.payload)
+            order: payloads.OrderMessage = payloads.unpack(payloads.OrderMessage, question.payload)
             is_repeated = self._order_cache.heard(order.id, order.digest)
             if not is_repeated:
                 self._begin(order)
         except M100Error as error:
             refused = replace(self._reply("", error), clock=self.client.now)
-            question.answer(key, pack(refused))
+            question.answer(key, payloads.pack(refused))
             return
         await self._wait(order.id)
-        question.answer(key, pack(self._reply_to(order.id, is_repeated=is_repeated)))
+        question.answer(key, payloads.pack(self._reply_to(order.id, is_repeated=is_repeated)))
 
-    def _begin(self, order: OrderMessage) -> None:
+    def _begin(self, order: payloads.OrderMessage) -> None:
         """Hear an order for the first time."""
         if not _ID.fullmatch(order.id):
             raise MessageError("the id of an order is 32 hexadecimal digits")
@@ -332,7 +324,7 @@ class FleetAgent:
         work = self._carry_out(order, asked)
         self._running[order.id] = self.client.background.spawn(work, "order of the fleet")
 
-    def _require_now(self, order: OrderMessage, asked: orders.Order, now: float) -> None:
+    def _require_now(self, order: payloads.OrderMessage, asked: orders.Order, now: float) -> None:
         """Refuse an order that may not begin now."""
         if asked.moves:
             self.duplicates.require_none(now)
@@ -347,12 +339,12 @@ class FleetAgent:
         if asked.right is Right.STOP:
             self._ages.revoke(now)
 
-    def _may_have_begun(self, order: OrderMessage, asked: orders.Order) -> bool:
+    def _may_have_begun(self, order: payloads.OrderMessage, asked: orders.Order) -> bool:
         """Whether an agent before began it, or may have where its order log is damaged."""
         is_of_before = order.fence and asked.is_kept and self._order_cache.is_unsure(order.clock)
         return bool(is_of_before) or self._order_cache.was_begun_before(order.id)
 
-    async def _carry_out(self, order: OrderMessage, asked: orders.Order) -> None:
+    async def _carry_out(self, order: payloads.OrderMessage, asked: orders.Order) -> None:
         try:
             if asked.is_kept:
                 await self._order_log.begin(order.id)
@@ -367,31 +359,33 @@ class FleetAgent:
         finally:
             del self._running[order.id]
 
-    def _end(self, order: OrderMessage, error: M100Error | None, done: Done | None = None) -> None:
+    def _end(
+        self, order: payloads.OrderMessage, error: M100Error | None, done: Done | None = None
+    ) -> None:
         reply = replace(self._reply(order.id, error, done), order=order.digest)
         self._order_cache.end(reply, self.client.now)
 
     def _reply(
         self, identity: str, error: M100Error | None, done: Done | None = None
-    ) -> OrderReply:
+    ) -> payloads.OrderReply:
         done = done or Done()
         values = {one.name: getattr(done, one.name) for one in fields(done)}
-        return OrderReply.done(identity, self._keys.name, self.boot, error, **values)
+        return payloads.OrderReply.done(identity, self._keys.name, self.boot, error, **values)
 
     async def _wait(self, identity: str) -> None:
         if identity in self._running:  # where it runs on, the reply says so
             await asyncio.wait({self._running[identity]}, timeout=HOLD_S)
 
-    def _reply_to(self, identity: str, *, is_repeated: bool) -> OrderReply:
+    def _reply_to(self, identity: str, *, is_repeated: bool) -> payloads.OrderReply:
         reply = self._order_cache.reply(identity)
         if reply is None:
             if self._order_cache.is_known(identity):
-                progress = Progress.RUNNING
+                progress = payloads.Progress.RUNNING
             elif self._order_cache.was_begun_before(identity):
                 return replace(self._reply(identity, _begun_before()), clock=self.client.now)
             else:
-                progress = Progress.NEVER
-            reply = OrderReply(identity, self._keys.name, self.boot, progress)
+                progress = payloads.Progress.NEVER
+            reply = payloads.OrderReply(identity, self._keys.name, self.boot, progress)
         return replace(reply, clock=self.client.now, is_repeated=is_repeated)
 
     def _on_status(self, question: Question) -> None:
@@ -403,7 +397,7 @@ class FleetAgent:
             question.drop()
             return
         await self._wait(identity)
-        reply = pack(self._reply_to(identity, is_repeated=True))
+        reply = payloads.pack(self._reply_to(identity, is_repeated=True))
         question.answer(self._keys.status(identity), reply)
 
     # -- setpoints -------------------------------------------------------------------------------
@@ -413,7 +407,7 @@ class FleetAgent:
             self.dropped[Dropped.DAMAGED] += 1
             return
         try:
-            found = unpack_steer(payload, self._orders.secret)
+            found = payloads.unpack_steer(payload, self._orders.secret)
         except MessageError:
             self.dropped[Dropped.DAMAGED] += 1
             return
@@ -439,7 +433,7 @@ class FleetAgent:
 
 
 def _package(sample: Sample) -> bytes:
-    return pack(Telemetry(sample.value, sample.profile.name, sample.received_at))
+    return payloads.pack(Telemetry(sample.value, sample.profile.name, sample.received_at))
 
 
 def _begun_before() -> OutcomeUnknown:

@@ -15,6 +15,7 @@ from dataclasses import replace
 from functools import partial
 from typing import Self
 
+from m100link import errors
 from m100link.apps.agent import orders
 from m100link.apps.agent.latency import ClockEstimate
 from m100link.apps.agent.lease import Lease
@@ -32,14 +33,6 @@ from m100link.apps.fleet.payloads import (
     pack,
     unpack,
 )
-from m100link.errors import (
-    GuardRefused,
-    M100Error,
-    NotAllowed,
-    OutcomeUnknown,
-    StaleLease,
-    Unreachable,
-)
 
 PATIENCE_S = 10.0
 """Seconds without any answer after which the outcome counts as unknown.
@@ -53,9 +46,9 @@ Sign = Callable[[OrderMessage, str], OrderMessage]
 """Signs an order, with the proof of the lease of which it gets the secret; empty for none."""
 
 
-def nobody_there(name: str) -> Unreachable:
+def nobody_there(name: str) -> errors.Unreachable:
     """The error for an aircraft whose agent is absent."""
-    return Unreachable(
+    return errors.Unreachable(
         f"no agent named {name} is there; nothing was sent",
         remedy="m100link fleet list shows the aircraft that are present",
     )
@@ -152,7 +145,7 @@ class Asker:
     def _raised(self, reply: OrderReply) -> OrderReply:
         try:
             return _raised(reply)
-        except GuardRefused as error:
+        except errors.GuardRefused as error:
             if error.guard == "stopped":
                 self.hear_of_stop()
             raise
@@ -263,7 +256,7 @@ class Asker:
                 reply = self._read(answers, order, began)
                 if isinstance(reply, MessageError):
                     # The agent may well have done it, but its answer cannot be read.
-                    raise OutcomeUnknown(reply.seen, cause=reply.cause, remedy=reply.remedy)
+                    raise errors.OutcomeUnknown(reply.seen, cause=reply.cause, remedy=reply.remedy)
                 if reply is None:
                     if questions.is_due:  # nobody was there for the newest one, or it waits
                         await asyncio.sleep(_AGAIN_S)
@@ -279,20 +272,20 @@ class Asker:
                         raise self._never_arrives(has_begun=bool(begun))
                     sent = 0
                     await asyncio.sleep(_AGAIN_S)
-        raise OutcomeUnknown(
+        raise errors.OutcomeUnknown(
             f"{self.keys.name} gave no answer for {patience:g} s",
             cause="the link is cut or slower than that, the agent hangs, or the router lets no "
             "answer pass to this identity",
         )
 
-    def _never_arrives(self, *, has_begun: bool) -> OutcomeUnknown:
+    def _never_arrives(self, *, has_begun: bool) -> errors.OutcomeUnknown:
         """It answers what became of the order, and does not know it, or not any more."""
         if has_begun:
-            return OutcomeUnknown(
+            return errors.OutcomeUnknown(
                 f"{self.keys.name} began the order, and does not know it any more",
                 cause="its agent restarted without its order log",
             )
-        return OutcomeUnknown(
+        return errors.OutcomeUnknown(
             f"{self.keys.name} answers, but has not heard of the order",
             cause="the router lets no such order of this identity pass, or the link loses it",
             remedy="m100link fleet acl check FILE --who NAME, with the router's file of rights",
@@ -308,7 +301,7 @@ class Asker:
         came = list(answers)
         try:
             found = believed(came, self.keys, order.id, self._sessions, order.digest)
-        except OutcomeUnknown:
+        except errors.OutcomeUnknown:
             self.doubtful_clocks = clocks_of(came, self.keys.name)
             raise
         if isinstance(found, OrderReply):
@@ -316,7 +309,7 @@ class Asker:
         return found
 
 
-def reason_of(name: str, fault: RemoteError | None) -> M100Error:
+def reason_of(name: str, fault: RemoteError | None) -> errors.M100Error:
     """The reason that the agent of that name gives for a refusal."""
     return MessageError(f"{name} gave no reason") if fault is None else fault.error()
 
@@ -327,9 +320,9 @@ def _raised(reply: OrderReply) -> OrderReply:
         return reply
     error = reason_of(reply.name, reply.fault)
     kinds = {
-        Outcome.STALE_LEASE: StaleLease,
-        Outcome.NOT_ALLOWED: NotAllowed,
-        Outcome.UNKNOWN: OutcomeUnknown,
+        Outcome.STALE_LEASE: errors.StaleLease,
+        Outcome.NOT_ALLOWED: errors.NotAllowed,
+        Outcome.UNKNOWN: errors.OutcomeUnknown,
     }
     kind = kinds.get(reply.outcome)
     if kind is not None and not isinstance(error, kind):
@@ -473,7 +466,7 @@ def believed(
         if reply.id in (identity, "") and reply.name == keys.name:
             replies.append(reply)
     if replies and (len(sessions) > 1 or len({one.boot for one in replies}) > 1):
-        raise OutcomeUnknown(
+        raise errors.OutcomeUnknown(
             f"two agents are named {keys.name}: it is unknown which of them answered",
             cause="two agents were given one name, or a stranger poses as the aircraft",
             remedy="end one of them, and look at both aircraft",
@@ -481,13 +474,13 @@ def believed(
     # One agent gives one answer. When it was given, and whether it had been before, may differ.
     said = partial(replace, clock=0.0, is_repeated=False)
     if len(replies) > 1 and len(set(map(repr, map(said, replies)))) > 1:
-        raise OutcomeUnknown(
+        raise errors.OutcomeUnknown(
             f"two answers of {keys.name} to one order disagree",
             cause="a stranger answers in its name",
             remedy="look at the aircraft; a router with --rights keeps strangers out",
         )
     if replies and replies[0].order not in (b"", digest):
-        raise OutcomeUnknown(
+        raise errors.OutcomeUnknown(
             f"{keys.name} has another order under the same id",
             cause="a stranger heard the id and used it",
             remedy="look at the aircraft, and give the order again",

@@ -14,7 +14,7 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 
-from m100link.apps.agent import orders
+from m100link.apps.agent import messages, orders
 from m100link.apps.agent.background import TaskSet
 from m100link.apps.agent.client import MAX_SILENCE
 from m100link.apps.agent.lease import (
@@ -23,26 +23,6 @@ from m100link.apps.agent.lease import (
     Lease,
     LeaseRefused,
     TakeOver,
-)
-from m100link.apps.agent.messages import (
-    VERSION,
-    Ask,
-    Event,
-    Goodbye,
-    Hello,
-    JournalNote,
-    LeaseChanged,
-    LinkCounted,
-    Message,
-    MessageError,
-    OrderOutcome,
-    RemoteError,
-    Stage,
-    State,
-    Steer,
-    SteerRefused,
-    Telemetry,
-    agent_gone,
 )
 from m100link.apps.agent.orders import Right
 from m100link.apps.agent.transports import Receiver
@@ -79,7 +59,7 @@ async def reach(asker: Callable[[str], Asker]) -> FleetChannel:
     channel, own = FleetChannel(asker), asker("")
     if not await own.is_there() or not await channel.look_at_clock():
         channel.close()
-        raise agent_gone(channel.unread_why or f"{own.keys.name} does not answer")
+        raise messages.agent_gone(channel.unread_why or f"{own.keys.name} does not answer")
     return channel
 
 
@@ -115,7 +95,7 @@ class FleetChannel(Receiver):
         # By the agent's clock: how new the word on the lease is that comes next, and when a lease
         # was granted to this front, whose answer overtakes earlier messages.
         self._newest_at = self._granted_at = 0.0
-        self._holder = LeaseChanged(0, "")
+        self._holder = messages.LeaseChanged(0, "")
         self._leases: dict[int, Lease] = {}
         self._leasing: set[asyncio.Task[None]] = set()  # orders about the lease, under way
         self._renewed_at = -_RENEWAL_S
@@ -123,7 +103,7 @@ class FleetChannel(Receiver):
         self.lost: M100Error | None = None  # what the agent refused to renew it with
         # Why the newest setpoint with a report was not flown. A page shows what is true of
         # the newest beat: it is reported with each, until the agent says that they fly.
-        self._unflown: RemoteError | None = None
+        self._unflown: messages.RemoteError | None = None
         self._asks = 0
         # Messages that this version cannot read, and that were too long on their way to say
         # anything.
@@ -132,10 +112,12 @@ class FleetChannel(Receiver):
 
     # -- the channel -----------------------------------------------------------------------------
 
-    def open(self, on_message: Callable[[Message], None], on_closed: Callable[[str], None]) -> None:
+    def open(
+        self, on_message: Callable[[messages.Message], None], on_closed: Callable[[str], None]
+    ) -> None:
         self._on_message, self._on_closed = on_message, on_closed
         bus, keys = self._bus, self._keys
-        self._deliver(Hello(VERSION, self._boot, self._clock()))
+        self._hand_over(messages.Hello(messages.VERSION, self._boot, self._clock()))
         if not self._hears:
             return
         self._held += [
@@ -146,25 +128,27 @@ class FleetChannel(Receiver):
         self.watch(full=self._is_full)
         self._background.spawn(self._keep_clock(), "clock of an agent")
 
-    def send(self, message: Message) -> None:
+    def send(self, message: messages.Message) -> None:
         """Send a message; never waits. On a closed channel nothing happens."""
-        if self._is_closed or isinstance(message, Hello | Goodbye):
+        if self._is_closed or isinstance(message, messages.Hello | messages.Goodbye):
             return
-        if isinstance(message, JournalNote):  # the journal on board takes none from the network
+        if isinstance(
+            message, messages.JournalNote
+        ):  # the journal on board takes none from the network
             _logger.info("%s: %s", self._keys.name, message.text)
             return
-        if isinstance(message, Ask):
+        if isinstance(message, messages.Ask):
             self._send_ask(message)
-        elif isinstance(message, Steer):
+        elif isinstance(message, messages.Steer):
             self._steer(message)
         else:
-            raise MessageError(f"a client does not send {type(message).__name__}")
+            raise messages.MessageError(f"a client does not send {type(message).__name__}")
 
     def close(self, reason: str = "") -> None:
         """Close it. Leases that were granted here end by silence; see :meth:`let_go`."""
         if self._is_closed:
             return
-        self._is_closed = True
+        self._is_closed, self._on_message = True, None
         for one in (*self._held, self._outlet, self._telemetry):
             if one is not None:
                 one.close()
@@ -224,24 +208,24 @@ class FleetChannel(Receiver):
             if not self._asker.is_of_aircraft(answer):
                 continue
             message = self._read(answer.payload)
-            if isinstance(message, Hello) and self._greeted(message):
+            if isinstance(message, messages.Hello) and self._greeted(message):
                 self._its_clock.heard(asked_at, message.at, answered_at)
                 return True
         return False
 
-    def _greeted(self, hello: Hello) -> bool:
+    def _greeted(self, hello: messages.Hello) -> bool:
         """Whether it is still the agent that it was."""
         self._boot = self._boot or hello.name
-        if hello.version != VERSION:
-            self._end(f"it speaks version {hello.version}, this client {VERSION}")
+        if hello.version != messages.VERSION:
+            self._end(f"it speaks version {hello.version}, this client {messages.VERSION}")
         elif hello.name != self._boot:
             self._end(f"the agent of {self._keys.name} restarted")
         return not self._is_closed
 
-    def _read(self, payload: bytes) -> Message | None:
+    def _read(self, payload: bytes) -> messages.Message | None:
         try:
             return unpack_message(payload)
-        except MessageError as error:
+        except messages.MessageError as error:
             if not self.unread:
                 _logger.warning(
                     "a message of %s cannot be read (more are only counted): %s",
@@ -255,47 +239,43 @@ class FleetChannel(Receiver):
         message = self._read(payload)
         if message is None or self._is_closed:
             return
-        if isinstance(message, Hello):
+        if isinstance(message, messages.Hello):
             self._newest_at = message.at if self._greeted(message) else self._newest_at
-        elif isinstance(message, LeaseChanged):
+        elif isinstance(message, messages.LeaseChanged):
             self._lease_changed(message)
         else:
             self._deliver_in_time(message)
 
-    def _deliver_in_time(self, message: Message) -> None:
+    def _deliver_in_time(self, message: messages.Message) -> None:
         """Hand over a message, with its time by this side's clock."""
         now = self._clock()
-        if isinstance(message, Telemetry):
+        if isinstance(message, messages.Telemetry):
             at = self._ours(message.received_at, now)
             message = replace(message, received_at=at)
-        elif isinstance(message, State | LinkCounted | Event):
+        elif isinstance(message, messages.State | messages.LinkCounted | messages.Event):
             at = self._ours(message.at, now)
             message = replace(message, at=at)
         else:
             at = now
         # A message that waited in the network does not make a silent agent one that is heard.
-        if now - at > MAX_SILENCE and not isinstance(message, Event):
+        if now - at > MAX_SILENCE and not isinstance(message, messages.Event):
             self.old += 1
         else:
-            self._deliver(message)
+            self._hand_over(message)
 
     def _ours(self, its: float, now: float) -> float:
         known = self._its_clock.offset(now)
         return now if known is None else min(now, its - known.seconds)
 
-    def _lease_changed(self, change: LeaseChanged) -> None:
+    def _lease_changed(self, change: messages.LeaseChanged) -> None:
         if change.number >= self._holder.number or self._newest_at >= self._granted_at:
             self._shown_at = self._clock()
             self._hold(change)
 
-    def _hold(self, change: LeaseChanged) -> None:
+    def _hold(self, change: messages.LeaseChanged) -> None:
         if change.number != self._holder.number:
             self._holder, self._unflown = change, None
-            self._deliver(change)
-
-    def _deliver(self, message: Message) -> None:
-        if not self._is_closed:
-            self._hand_over(message)
+            self._hand_over(change)
 
     # -- what goes out ---------------------------------------------------------------------------
 
@@ -307,11 +287,17 @@ class FleetChannel(Receiver):
         if not identity:
             return
         if error is not None:
-            self._deliver(OrderOutcome(identity, Stage.FAILED, RemoteError.of(error)))
+            self._hand_over(
+                messages.OrderOutcome(
+                    identity, messages.Stage.FAILED, messages.RemoteError.of(error)
+                )
+            )
         elif reply is not None:
-            self._deliver(OrderOutcome(identity, Stage.DONE, None, reply.text, reply.number))
+            self._hand_over(
+                messages.OrderOutcome(identity, messages.Stage.DONE, None, reply.text, reply.number)
+            )
 
-    def _send_ask(self, ask: Ask) -> None:
+    def _send_ask(self, ask: messages.Ask) -> None:
         order = ask.order
         if isinstance(order, orders.RenewLease) and not ask.id:
             lease = self._lease_of(order.token)
@@ -351,7 +337,7 @@ class FleetChannel(Receiver):
             self._leasing.add(asking)
             asking.add_done_callback(self._leasing.discard)
 
-    def _steer(self, steer: Steer) -> None:
+    def _steer(self, steer: messages.Steer) -> None:
         try:
             lease = self._leases.get(steer.fence)
             # A client that steers renews nothing else meanwhile. A setpoint too late to be flown
@@ -361,9 +347,9 @@ class FleetChannel(Receiver):
             self._keep(lease)
             self.fly(lease, steer.setpoint, steer.lifetime, made_at=steer.sent_at)
             if self._unflown is not None:
-                self._deliver(SteerRefused(steer.fence, self._unflown))
+                self._hand_over(messages.SteerRefused(steer.fence, self._unflown))
         except M100Error as error:
-            self._deliver(SteerRefused(steer.fence, RemoteError.of(error)))
+            self._hand_over(messages.SteerRefused(steer.fence, messages.RemoteError.of(error)))
 
     def fly(
         self,
@@ -398,7 +384,7 @@ class FleetChannel(Receiver):
             begins = now - self._sent_at > _PAUSE_S
         self._sent_at = now
         stamp = (now if made_at is None else made_at) + known.seconds
-        steer = Steer(lease.number, stamp, lifetime, setpoint)
+        steer = messages.Steer(lease.number, stamp, lifetime, setpoint)
         self._outlet.put(pack_steer(steer, lease.token, begins=begins))
 
     # -- the lease -------------------------------------------------------------------------------
@@ -430,12 +416,12 @@ class FleetChannel(Receiver):
         if reply is not None and lease.number == self._holder.number:
             self._shown_at, self._unflown = self._clock(), reply.fault
             if reply.fault is not None:
-                self._deliver(SteerRefused(lease.number, reply.fault))
+                self._hand_over(messages.SteerRefused(lease.number, reply.fault))
 
     def _lose(self, error: M100Error | None = None) -> None:
         """The lease counts as ended; without an error: the agent was silent."""
         self.lost = error
-        self._hold(LeaseChanged(0, ""))
+        self._hold(messages.LeaseChanged(0, ""))
 
     async def _ask_lease(
         self, identity: int, order: orders.LeaseOrder, clock: float, since: float
@@ -451,8 +437,8 @@ class FleetChannel(Receiver):
             kept = sorted({**self._leases, lease.number: lease}.items())
             self._leases = dict(kept[-_MOST_LEASES:])
             self._granted_at = self._newest_at = its
-            self._lease_changed(LeaseChanged(lease.number, lease.name))
-            self._deliver(OrderOutcome(identity, Stage.DONE, lease=lease))
+            self._lease_changed(messages.LeaseChanged(lease.number, lease.name))
+            self._hand_over(messages.OrderOutcome(identity, messages.Stage.DONE, lease=lease))
             return
         held = self._lease_of(token)
         fence, secret = (0, "") if held is None else (held.number, held.token)
@@ -461,11 +447,11 @@ class FleetChannel(Receiver):
         if isinstance(order, orders.AskTakeOver):
             until = self._clock() + TAKE_OVER_LIFETIME
             offer = TakeOver(name, reply.text, reply.offer, reply.number, until)
-            self._deliver(OrderOutcome(identity, Stage.DONE, offer=offer))
+            self._hand_over(messages.OrderOutcome(identity, messages.Stage.DONE, offer=offer))
         elif isinstance(order, orders.ReleaseLease):
             if fence == self._holder.number:
-                self._hold(LeaseChanged(0, ""))
+                self._hold(messages.LeaseChanged(0, ""))
             self._answer(identity, reply)
         else:
             lease = Lease(reply.text, token, reply.number)
-            self._deliver(OrderOutcome(identity, Stage.DONE, lease=lease))
+            self._hand_over(messages.OrderOutcome(identity, messages.Stage.DONE, lease=lease))

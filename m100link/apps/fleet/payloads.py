@@ -19,24 +19,12 @@ from typing import Any, ClassVar
 
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey, X25519PublicKey
 
+from m100link import errors
 from m100link.apps.agent import orders
 from m100link.apps.agent.codec import Fields, InvalidValue, decode, encode, parsed, write_json
 from m100link.apps.agent.lease import Lease, LeaseHeld, LeaseRefused
 from m100link.apps.agent.messages import Message, MessageError, RemoteError, Steer, fault_of
 from m100link.apps.agent.orders import Right
-from m100link.errors import (
-    AckTimeout,
-    AuthorityLost,
-    LinkClosed,
-    LinkLost,
-    M100Error,
-    MissionRunning,
-    NotAllowed,
-    NotObserved,
-    OutcomeUnknown,
-    StaleLease,
-    Unreachable,
-)
 
 # -- what became of an order: six answers, and none of them is silence -----------------------------
 
@@ -53,24 +41,24 @@ class Outcome(Enum):
 
 
 # The first class that fits decides, so subclasses stand before their bases.
-_OUTCOMES: tuple[tuple[type[M100Error], Outcome], ...] = (
+_OUTCOMES: tuple[tuple[type[errors.M100Error], Outcome], ...] = (
     (LeaseHeld, Outcome.REFUSED),  # by who has it: this side never had it
     (LeaseRefused, Outcome.STALE_LEASE),
-    (StaleLease, Outcome.STALE_LEASE),
-    (NotAllowed, Outcome.NOT_ALLOWED),
-    (Unreachable, Outcome.UNREACHABLE),
-    (OutcomeUnknown, Outcome.UNKNOWN),
-    (AckTimeout, Outcome.UNKNOWN),  # the aircraft itself did not answer
+    (errors.StaleLease, Outcome.STALE_LEASE),
+    (errors.NotAllowed, Outcome.NOT_ALLOWED),
+    (errors.Unreachable, Outcome.UNREACHABLE),
+    (errors.OutcomeUnknown, Outcome.UNKNOWN),
+    (errors.AckTimeout, Outcome.UNKNOWN),  # the aircraft itself did not answer
     # It had begun, and nobody saw how it went on.
-    (NotObserved, Outcome.UNKNOWN),
-    (AuthorityLost, Outcome.UNKNOWN),
-    (LinkLost, Outcome.UNKNOWN),
-    (LinkClosed, Outcome.UNKNOWN),
-    (M100Error, Outcome.REFUSED),
+    (errors.NotObserved, Outcome.UNKNOWN),
+    (errors.AuthorityLost, Outcome.UNKNOWN),
+    (errors.LinkLost, Outcome.UNKNOWN),
+    (errors.LinkClosed, Outcome.UNKNOWN),
+    (errors.M100Error, Outcome.REFUSED),
 )
 
 
-def outcome_of(error: M100Error | None) -> Outcome:
+def outcome_of(error: errors.M100Error | None) -> Outcome:
     """The outcome that an error means; None means that all is well."""
     if error is None:
         return Outcome.OK
@@ -84,11 +72,11 @@ class Result:
     name: str  #: the aircraft
     outcome: Outcome  #: what became of the order
     #: why it is not ``ok``, with what was seen, the likely cause, and what to do
-    error: M100Error | None = None
+    error: errors.M100Error | None = None
     value: object = None  #: the result of the order, if it has one
 
     @classmethod
-    def of(cls, name: str, error: M100Error | None, value: object = None) -> Result:
+    def of(cls, name: str, error: errors.M100Error | None, value: object = None) -> Result:
         """The result that an error means."""
         return cls(name, outcome_of(error), error, value)
 
@@ -160,7 +148,7 @@ def after(stage: MissionStage, happens: MissionInput) -> MissionStage:
     found = _NEXT[stage].get(happens, stage)
     if found is None:
         what = "a plan" if happens is MissionInput.UPLOADED else "the start of a mission"
-        raise MissionRunning(
+        raise errors.MissionRunning(
             f"{what} came while a mission is {stage.value}; nothing was changed",
             cause="the holder of the lease flies a mission already",
             remedy="stop it first, or wait for its end",
@@ -353,7 +341,7 @@ class OrderReply:
 
     @classmethod
     def done(
-        cls, identity: str, name: str, boot: str, error: M100Error | None, **more: Any
+        cls, identity: str, name: str, boot: str, error: errors.M100Error | None, **more: Any
     ) -> OrderReply:
         """The reply to an order that is over; ``more``: the other fields that say something."""
         values: dict[str, Any] = more | {"outcome": outcome_of(error)}

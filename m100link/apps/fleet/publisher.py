@@ -15,19 +15,8 @@ from contextlib import ExitStack
 from functools import cache
 from typing import TypeVar
 
+from m100link.apps.agent import messages
 from m100link.apps.agent.client import AgentClient
-from m100link.apps.agent.messages import (
-    VERSION,
-    Activating,
-    AuthorityTaken,
-    Hello,
-    LeaseChanged,
-    Message,
-    MessageError,
-    PlanChanged,
-    RemoteError,
-    Telemetry,
-)
 from m100link.apps.agent.orders import UploadPlan
 from m100link.apps.bus.network import Bus, Question
 from m100link.apps.fleet.keys import Keys, name_in
@@ -82,32 +71,34 @@ class StatePublisher:
         """Answer a new listener with the run of the agent, its time, and the version."""
         question.answer(self._keys.told, pack(self._hello()))
 
-    def _hello(self) -> Hello:
-        return Hello(VERSION, self._boot, self._client.now)
+    def _hello(self) -> messages.Hello:
+        return messages.Hello(messages.VERSION, self._boot, self._client.now)
 
-    def _put(self, message: Message) -> None:
+    def _put(self, message: messages.Message) -> None:
         self._outlet.put(pack(message))
 
     def _tell_state(self, turn: int) -> None:
         client = self._client
         self._put(client.state)
         if turn % _SELDOM == 0:
-            self._lease_changed(LeaseChanged(client.holder.number, client.holder.name))
+            self._lease_changed(messages.LeaseChanged(client.holder.number, client.holder.name))
             if client.link is not None:
                 self._put(client.link)
         if client.plan is not self._plan or turn % _PLAN == 0:
             plan = self._plan = client.plan
-            self._put(PlanChanged(client.plan_by, None if plan is None else UploadPlan.of(plan)))
+            self._put(
+                messages.PlanChanged(client.plan_by, None if plan is None else UploadPlan.of(plan))
+            )
 
-    def _lease_changed(self, change: LeaseChanged) -> None:
+    def _lease_changed(self, change: messages.LeaseChanged) -> None:
         self._put(self._hello())  # whose time says how new the word on the lease is
         self._put(change)
 
     def _authority_taken(self, error: AuthorityLost) -> None:
-        self._put(AuthorityTaken(RemoteError.of(error)))
+        self._put(messages.AuthorityTaken(messages.RemoteError.of(error)))
 
     def _activating(self, code: ActivationCode) -> None:
-        self._put(Activating(int(code)))
+        self._put(messages.Activating(int(code)))
 
 
 def _hold(stack: ExitStack, heard: list[Callable[[T], None]], tell: Callable[[T], None]) -> None:
@@ -150,10 +141,10 @@ class FleetTelemetry:
         name = name_in(key)
         try:
             message = unpack_message(payload)
-            if not isinstance(message, Telemetry):
-                raise MessageError(f"{type(message).__name__} is no telemetry")
+            if not isinstance(message, messages.Telemetry):
+                raise messages.MessageError(f"{type(message).__name__} is no telemetry")
             sample = Sample(message.value, PROFILES[message.profile], self._clock())
-        except (MessageError, LayoutMismatch, KeyError):
+        except (messages.MessageError, LayoutMismatch, KeyError):
             self.unread += 1
             return
         self.received[name] += 1

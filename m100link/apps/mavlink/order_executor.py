@@ -8,6 +8,7 @@ from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from typing import Any
 
+from m100link import errors
 from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.lease import Lease
@@ -41,14 +42,6 @@ from m100link.apps.mavlink.translator.route import (
     plan_of,
 )
 from m100link.apps.mavlink.translator.vehicle_state import FlightSource, Mode, VehicleState
-from m100link.errors import (
-    AckTimeout,
-    GuardRefused,
-    M100Error,
-    MissionRefused,
-    NoAuthority,
-    UsageError,
-)
 from m100link.missions.plan import WaypointPlan
 from m100link.protocol.setpoint import Setpoint
 
@@ -112,7 +105,7 @@ class OrderExecutor:
 
     def _steer(self, setpoint: Setpoint) -> None:
         if not self._owes_a_stop:  # a mission ignores setpoints: none before its stop is heard
-            with suppress(NoAuthority):  # the agent fell silent since the manager looked
+            with suppress(errors.NoAuthority):  # the agent fell silent since the manager looked
                 self._session.steer(setpoint, _LASTS_S)
 
     def _drop(self) -> None:
@@ -130,7 +123,7 @@ class OrderExecutor:
                 return
             try:
                 await self._session.ask(command.order)
-            except M100Error as error:
+            except errors.M100Error as error:
                 self._flights.failed(command, error)
 
     def _replace(self, order: VehicleOrder) -> None:
@@ -143,14 +136,14 @@ class OrderExecutor:
         await self._agent.ask(order, lease, accepted, self._asked_at)
 
     async def _carry_out(self, order: VehicleOrder) -> None:
-        error: M100Error | None = NoAuthority("it was broken off")
+        error: errors.M100Error | None = errors.NoAuthority("it was broken off")
         try:
             # All of it under the lease of its beginning: it does not go on under a later one.
             await self._doing[type(order)](order, self._session.lease)
             error = None
-        except M100Error as met:
+        except errors.M100Error as met:
             error = met
-            if isinstance(met, GuardRefused) and met.guard == "stopped":
+            if isinstance(met, errors.GuardRefused) and met.guard == "stopped":
                 self._session.begin_anew(at=self._agent.now)  # its sender hears of it by that
         finally:
             if isinstance(order, ObtainControl):
@@ -211,7 +204,7 @@ class OrderExecutor:
         await self._ask(ChangeHeight(order.height), lease)
 
     async def _land(self, order: LandInPlace, lease: Lease | None) -> None:
-        with suppress(AckTimeout, MissionRefused):
+        with suppress(errors.AckTimeout, errors.MissionRefused):
             # The agent reports it; and a landing breaks off what a stop did not end.
             await self._make_way(lease, order.is_interrupting)
         self._agent.hover("landing", self._session.lease)
@@ -252,7 +245,7 @@ class OrderExecutor:
         try:
             start = orders.StartMission(upload.digest, until_over=True)
             await self._ask(start, lease, lambda: self._flights.begun(order))
-        except M100Error:
+        except errors.M100Error:
             self._owes_a_stop = False  # the agent has stopped it, or reported what came of that
             raise
         self._owes_a_stop = False
@@ -302,7 +295,7 @@ class MissionFlights:
         try:
             route = missions.route()
         except Refused as refused:
-            raise UsageError(f"mission: {refused.why}") from None
+            raise errors.UsageError(f"mission: {refused.why}") from None
         if route is None or (first is not None and first >= len(missions.items)):
             return None
         if first is not None:
@@ -387,7 +380,7 @@ class MissionFlights:
         wanted = FlightSource.PAUSED if is_pause else FlightSource.MISSION
         return command.flight is self._manager.flight and self._manager.running is wanted
 
-    def failed(self, command: MissionCommand, error: M100Error) -> None:
+    def failed(self, command: MissionCommand, error: errors.M100Error) -> None:
         """It was not taken: nobody knows what an aircraft flies that does not pause or go on."""
         if self.is_due(command):
             self._tell(Severity.ERROR, f"mission: {error.seen}")

@@ -15,17 +15,7 @@ from typing import Any
 
 from m100link.apps.agent.background import TaskSet
 from m100link.apps.bus.network import Held, Inbox, Outlet, PolledBus, Question, Received
-from m100link.apps.ros2.graph import (
-    GID_SIZE,
-    Attachment,
-    EntityKind,
-    Names,
-    NodeName,
-    Qos,
-    data_key,
-    read_attachment,
-    write_attachment,
-)
+from m100link.apps.ros2 import graph
 from m100link.errors import M100Error
 from m100link.log.cdr import DEFINITIONS, SERVICES, decode, describe, encode, full_name, type_hash
 
@@ -49,7 +39,7 @@ class PublishedTopic:
 
     def __init__(self, outlet: Outlet, kind: str, utc: Callable[[], float]) -> None:
         self._outlet, self._kind, self._utc = outlet, kind, utc
-        self._gid = os.urandom(GID_SIZE)
+        self._gid = os.urandom(graph.GID_SIZE)
         self._sequence = 0
         self.is_wanted = outlet.is_wanted()  # whether anybody listens, as of the last look
 
@@ -57,7 +47,7 @@ class PublishedTopic:
         """Send a message that is CDR already."""
         self._sequence += 1
         at_ns = round(self._utc() * 1e9)
-        self._outlet.put(payload, write_attachment(self._sequence, at_ns, self._gid))
+        self._outlet.put(payload, graph.write_attachment(self._sequence, at_ns, self._gid))
 
     def say(self, message: Mapping[str, Any]) -> None:
         self.put(encode(self._kind, message))
@@ -71,11 +61,11 @@ class Input:
         self._inbox, self._kind = inbox, kind
         self.refused = 0
 
-    def take(self) -> Iterator[tuple[Attachment, dict[str, Any]]]:
+    def take(self) -> Iterator[tuple[graph.Attachment, dict[str, Any]]]:
         """The samples since the last call, oldest first."""
         for one in self._inbox.take():
             try:
-                found = read_attachment(one.attachment), decode(self._kind, one.payload)
+                found = graph.read_attachment(one.attachment), decode(self._kind, one.payload)
             except ValueError:
                 self.refused += 1
                 continue
@@ -101,7 +91,7 @@ class Endpoints:
     """
 
     def __init__(
-        self, bus: PolledBus, name: NodeName, background: TaskSet, utc: Callable[[], float]
+        self, bus: PolledBus, name: graph.NodeName, background: TaskSet, utc: Callable[[], float]
     ) -> None:
         self._bus, self._name, self._background, self._utc = bus, name, background, utc
         self._count = name.number * 1000  # an end has a number of its own in the session
@@ -112,33 +102,33 @@ class Endpoints:
         # Tokens end when nobody holds them.
         self._tokens: list[Held] = [bus.declare(name.token)]
 
-    def _show(self, end: EntityKind, topic: str, kind: str, qos: Qos) -> None:
+    def _show(self, end: graph.EntityKind, topic: str, kind: str, qos: graph.Qos) -> None:
         self._count += 1
         token = self._name.token_of(self._count, end, topic, kind, qos)
         self._tokens.append(self._bus.declare(token))
 
-    def publish(self, topic: str, kind: str, qos: Qos) -> PublishedTopic:
+    def publish(self, topic: str, kind: str, qos: graph.Qos) -> PublishedTopic:
         kept = qos.depth if qos.is_latched else 0
-        outlet = self._bus.publish(data_key(self._name.domain, topic, kind), kept=kept)
+        outlet = self._bus.publish(graph.data_key(self._name.domain, topic, kind), kept=kept)
         made = self.topics[topic] = PublishedTopic(outlet, kind, self._utc)
-        self._show(EntityKind.PUBLISHER, topic, kind, qos)
+        self._show(graph.EntityKind.PUBLISHER, topic, kind, qos)
         return made
 
     def subscribe(self, topic: str, kind: str) -> Input:
-        inbox = self._bus.inbox(data_key(self._name.domain, topic, kind), _DEPTH)
+        inbox = self._bus.inbox(graph.data_key(self._name.domain, topic, kind), _DEPTH)
         made = Input(inbox, kind)
         self.inputs[f"{topic} {kind}"] = made
-        self._show(EntityKind.SUBSCRIBER, topic, kind, Qos())
+        self._show(graph.EntityKind.SUBSCRIBER, topic, kind, graph.Qos())
         return made
 
     def serve(
         self, topic: str, kind: str, call: Call, *, at_once: int = _AT_ONCE, stops: bool = False
     ) -> None:
         """Offer a service; requests beyond so many at once are not answered."""
-        key = data_key(self._name.domain, topic, kind)
+        key = graph.data_key(self._name.domain, topic, kind)
         requests = self._bus.questions(key, _DEPTH)
         self._services.append(_Service(topic, kind, key, requests, call, at_once, stops))
-        self._show(EntityKind.SERVER, topic, kind, Qos())
+        self._show(graph.EntityKind.SERVER, topic, kind, graph.Qos())
 
     @property
     def junk(self) -> int:
@@ -159,7 +149,7 @@ class Endpoints:
         try:
             if request.key != service.key:
                 raise ValueError("a wildcard would take off, land and disarm at once")
-            attachment = read_attachment(request.attachment)
+            attachment = graph.read_attachment(request.attachment)
             message = decode(f"{service.kind}_Request", request.payload)
             if (is_deaf and not service.stops) or service.calls >= service.at_once:
                 raise ValueError("too late, or too many")
@@ -175,7 +165,7 @@ class Endpoints:
         self,
         service: _Service,
         message: dict[str, Any],
-        attachment: Attachment,
+        attachment: graph.Attachment,
         request: Question,
     ) -> None:
         try:
@@ -190,7 +180,7 @@ class Endpoints:
         finally:
             service.calls -= 1
         at_ns = round(self._utc() * 1e9)
-        ours = write_attachment(attachment.sequence, at_ns, attachment.gid)
+        ours = graph.write_attachment(attachment.sequence, at_ns, attachment.gid)
         request.answer(request.key, answer, ours)
 
 
@@ -229,7 +219,7 @@ _NOTHING: Mapping[str, Any] = {
 _NAMES = {full_name(one): one for one in DEFINITIONS}
 
 
-def serve_descriptions(ends: Endpoints, names: Names) -> None:
+def serve_descriptions(ends: Endpoints, names: graph.Names) -> None:
     ends.serve(names.full("~/get_type_description"), _KIND, _answer)
 
 

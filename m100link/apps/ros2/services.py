@@ -16,34 +16,21 @@ from m100link.apps.agent.client import AgentClient
 from m100link.apps.ros2.control import RosControl
 from m100link.apps.ros2.endpoints import Call, Input, answering, trigger
 from m100link.errors import M100Error, UsageError
+from m100link.missions import waypoint
 from m100link.missions.plan import WaypointPlan
-from m100link.missions.waypoint import (
-    AtEnd,
-    GimbalPitch,
-    Heading,
-    OnRCLoss,
-    StartVideo,
-    Stay,
-    StopVideo,
-    TakePhoto,
-    Trace,
-    TurnTo,
-    Waypoint,
-    WaypointAction,
-)
 from m100link.protocol.commands.gimbal import GimbalAngle, GimbalAngleMode, GimbalSpeed
 
 E = TypeVar("E", bound=IntEnum)
 
 _SPEED, _MAX_SPEED = 5.0, 10.0
 
-ACTIONS: Mapping[str, Callable[[float], WaypointAction]] = {
-    "STAY": Stay,
-    "TAKE_PHOTO": lambda _: TakePhoto(),
-    "START_VIDEO": lambda _: StartVideo(),
-    "STOP_VIDEO": lambda _: StopVideo(),
-    "TURN_TO": TurnTo,
-    "GIMBAL_PITCH": GimbalPitch,
+ACTIONS: Mapping[str, Callable[[float], waypoint.WaypointAction]] = {
+    "STAY": waypoint.Stay,
+    "TAKE_PHOTO": lambda _: waypoint.TakePhoto(),
+    "START_VIDEO": lambda _: waypoint.StartVideo(),
+    "STOP_VIDEO": lambda _: waypoint.StopVideo(),
+    "TURN_TO": waypoint.TurnTo,
+    "GIMBAL_PITCH": waypoint.GimbalPitch,
 }
 """The actions at a point, in the order of the numbers of m100_msgs/msg/MissionAction."""
 
@@ -87,17 +74,17 @@ def plan_of(request: Mapping[str, Any]) -> WaypointPlan:
         [_point(one) for one in request["points"]],
         speed=request["speed"] or _SPEED,
         max_speed=request["max_speed"] or _MAX_SPEED,
-        heading=_one_of(Heading, "heading", request),
-        trace=_one_of(Trace, "trace", request),
-        at_end=_one_of(AtEnd, "at_end", request),
-        on_rc_loss=_one_of(OnRCLoss, "on_rc_loss", request),
+        heading=_one_of(waypoint.Heading, "heading", request),
+        trace=_one_of(waypoint.Trace, "trace", request),
+        at_end=_one_of(waypoint.AtEnd, "at_end", request),
+        on_rc_loss=_one_of(waypoint.OnRCLoss, "on_rc_loss", request),
         gimbal_by_waypoint=request["gimbal_by_point"],
         repeat=request["repeat"] or 1,
     )
 
 
-def _point(given: Mapping[str, Any]) -> Waypoint:
-    return Waypoint(
+def _point(given: Mapping[str, Any]) -> waypoint.Waypoint:
+    return waypoint.Waypoint(
         given["latitude"],
         given["longitude"],
         height=given["height"],
@@ -109,7 +96,7 @@ def _point(given: Mapping[str, Any]) -> Waypoint:
     )
 
 
-def _action(given: Mapping[str, Any]) -> WaypointAction:
+def _action(given: Mapping[str, Any]) -> waypoint.WaypointAction:
     number: int = given["kind"]
     makers = list(ACTIONS.values())
     if number >= len(makers):

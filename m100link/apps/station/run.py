@@ -15,6 +15,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
+from m100link.apps.agent import transports
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.connect import by_driver, by_url, envelope_of
 from m100link.apps.agent.messages import Event
@@ -22,13 +23,6 @@ from m100link.apps.agent.server.agent import Agent
 from m100link.apps.agent.server.connection import Connect
 from m100link.apps.agent.server.replays import Replays
 from m100link.apps.agent.server.server import AgentServer
-from m100link.apps.agent.transports import (
-    Channel,
-    connect_unix,
-    memory_channels,
-    private_directory,
-    serve_unix,
-)
 from m100link.apps.station.config import MOST_AIRCRAFT, ONLY_NAME, Settings
 from m100link.apps.station.console.orders import orders_in_process
 from m100link.apps.station.listeners import (
@@ -210,8 +204,8 @@ async def running(
             FRONTS[name].load()  # takes a second, in which a connected aircraft hears nothing
         owner = await stack.enter_async_context(owning(settings, virtual))
 
-        async def reach() -> Channel:
-            ours, its = memory_channels()
+        async def reach() -> transports.Channel:
+            ours, its = transports.memory_channels()
             owner.service.attach(its)
             return ours
 
@@ -312,9 +306,9 @@ async def running_apart(
             stack, settings, with_console=with_console, with_rosbridge=with_rosbridge
         )
         owner = await stack.enter_async_context(owning(settings, virtual))
-        directory = stack.enter_context(private_directory())
+        directory = stack.enter_context(transports.private_directory())
         agent_path = directory / "agent.sock"
-        await stack.enter_async_context(serve_unix(agent_path, owner.service.attach))
+        await stack.enter_async_context(transports.serve_unix(agent_path, owner.service.attach))
         orders = {}
         if owner.virtual is not None and with_console:
             server = CtlServer([owner.virtual], directory / "orders.sock")
@@ -385,7 +379,7 @@ async def running_several(
         sockets = open_sockets(
             stack, settings, with_console=with_console, with_rosbridge=with_rosbridge
         )
-        directory = stack.enter_context(private_directory())
+        directory = stack.enter_context(transports.private_directory())
         agents: dict[str, AgentClient] = {}
 
         def note(name: str, text: str, level: str) -> None:
@@ -403,7 +397,7 @@ async def running_several(
         await stack.enter_async_context(supervised(*owners.values(), timeout=END_TIMEOUT))
         paths = {name: _path(directory, place) for place, name in enumerate(aircraft)}
         for name, path in paths.items():
-            reach = partial(connect_unix, path)
+            reach = partial(transports.connect_unix, path)
             agent = AgentClient(await reach(), "the station")
             agent.on_event.append(partial(tell, name))
             agents[name] = await stack.enter_async_context(agent)

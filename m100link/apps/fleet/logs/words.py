@@ -18,15 +18,7 @@ from pathlib import Path
 
 from m100link.apps.agent.codec import parsed
 from m100link.apps.agent.messages import MessageError, RemoteError
-from m100link.apps.fleet.payloads import (
-    VERSION,
-    LogQuestion,
-    Outcome,
-    What,
-    body,
-    to_json,
-    value_of,
-)
+from m100link.apps.fleet import payloads
 from m100link.errors import UsageError
 from m100link.errors.texts import read_path
 from m100link.link.keyfile import is_at, keep_names
@@ -49,7 +41,7 @@ class LogReply:
 
     id: str  # of the order
     name: str
-    outcome: Outcome = Outcome.OK  # whether it is answered
+    outcome: payloads.Outcome = payloads.Outcome.OK  # whether it is answered
     fault: RemoteError | None = None  # why it is not
     again_s: float = 0.0  # seconds after which to ask again, when it is not ready; 0 when it is
     offset: int = 0  # first byte of the piece
@@ -67,32 +59,32 @@ class LogEntry:
     is_written: bool  #: whether it is still being written
 
 
-def require_possible(question: LogQuestion) -> None:
+def require_possible(question: payloads.LogQuestion) -> None:
     """Refuse what names no log, or no part of one."""
-    if question.what is not What.LIST and not is_log_name(question.log):
+    if question.what is not payloads.What.LIST and not is_log_name(question.log):
         raise MessageError(
             f"{question.log[:80]!r} is no name of a log", remedy="m100link fleet log list NAME"
         )
-    is_piece = question.what is What.PIECE
+    is_piece = question.what is payloads.What.PIECE
     if question.offset < 0 or not 0 <= question.length <= (MOST_PIECE if is_piece else 1 << 50):
         raise MessageError(f"{question.length} bytes from {question.offset} are no part of a log")
 
 
 def pack_reply(reply: LogReply, data: bytes = b"") -> bytes:
-    return bytes([VERSION]) + to_json(reply) + b"\n" + data
+    return bytes([payloads.VERSION]) + payloads.to_json(reply) + b"\n" + data
 
 
 def unpack_reply(payload: bytes) -> tuple[LogReply, bytes]:
     """The answer in these bytes, and the bytes behind it."""
-    head, _, data = body(payload, MOST_PIECE + _MOST_HEAD).partition(b"\n")
+    head, _, data = payloads.body(payload, MOST_PIECE + _MOST_HEAD).partition(b"\n")
     if len(data) > MOST_PIECE:
         raise MessageError(f"{len(data)} bytes of a log in one answer")
-    return value_of(LogReply, parsed(head, "a LogReply")), data
+    return payloads.value_of(LogReply, parsed(head, "a LogReply")), data
 
 
 def pack_entries(entries: list[LogEntry]) -> bytes:
     """The newest logs as an answer carries them."""
-    return b"[" + b",".join(map(to_json, entries[:MOST_ENTRIES])) + b"]"
+    return b"[" + b",".join(map(payloads.to_json, entries[:MOST_ENTRIES])) + b"]"
 
 
 def unpack_entries(data: bytes) -> list[LogEntry]:
@@ -100,7 +92,7 @@ def unpack_entries(data: bytes) -> list[LogEntry]:
     found = parsed(data, "a list of logs")
     if not isinstance(found, list) or len(found) > MOST_ENTRIES:
         raise MessageError("not a list of logs")
-    entries = [value_of(LogEntry, one) for one in found]
+    entries = [payloads.value_of(LogEntry, one) for one in found]
     return [
         one
         for one in entries

@@ -17,17 +17,7 @@ from m100link.apps.agent.messages import MessageError
 from m100link.apps.fleet.asking import PATIENCE_S, Asker, Questions
 from m100link.apps.fleet.payloads import MissionCard, MissionStage, OrderReply, unpack
 from m100link.errors import M100Error, MissionAborted, OutcomeUnknown
-from m100link.flight.missions.events import (
-    Finished,
-    MissionEvent,
-    MissionProgress,
-    Paused,
-    Reached,
-    Resumed,
-    Started,
-    Stopped,
-    Uploaded,
-)
+from m100link.flight.missions import events
 from m100link.missions.plan import WaypointPlan
 
 _logger = logging.getLogger(__name__)
@@ -129,7 +119,7 @@ class FleetMission:
         self.plan = plan
         self._take_off = take_off  # first, from the ground
         self._digest = self._boot = ""
-        self._events: deque[MissionEvent] = deque()
+        self._events: deque[events.MissionEvent] = deque()
         self._seen = 0
         self._was_paused = self._is_stopped = self._is_end_reported = False
         self._has_begun = False
@@ -147,7 +137,7 @@ class FleetMission:
 
     async def __aenter__(self) -> Self:
         self._digest = await self._orders.upload(self.plan)
-        self._events.append(Uploaded(len(self.plan.waypoints), None))
+        self._events.append(events.Uploaded(len(self.plan.waypoints), None))
         self._boot = (await mission_card(self._asker)).boot
         self._has_begun = True
         try:
@@ -155,7 +145,7 @@ class FleetMission:
         except (asyncio.CancelledError, OutcomeUnknown):
             await self._leave(is_quiet=True)  # it may have begun
             raise
-        self._events.append(Started())
+        self._events.append(events.Started())
         return self
 
     async def __aexit__(self, exc_type: object, *_: object) -> None:
@@ -175,7 +165,7 @@ class FleetMission:
     def __aiter__(self) -> Self:
         return self
 
-    async def __anext__(self) -> MissionEvent:
+    async def __anext__(self) -> events.MissionEvent:
         """The next event.
 
         Raises:
@@ -209,21 +199,21 @@ class FleetMission:
 
     def _note(self, card: MissionCard) -> None:
         for index in card.reached[self._seen :]:
-            self._events.append(Reached(index))
+            self._events.append(events.Reached(index))
         self._seen = len(card.reached)
         if card.is_paused != self._was_paused:
             self._was_paused = card.is_paused
-            self._events.append(Paused() if card.is_paused else Resumed())
+            self._events.append(events.Paused() if card.is_paused else events.Resumed())
         if card.is_finished and not self._is_end_reported:
             self._is_end_reported = True
-            self._events.append(Finished())
+            self._events.append(events.Finished())
         if card.stage in (MissionStage.OVER, MissionStage.NONE):
             if self._end is None and self._is_stopped:
-                self._events.append(Stopped())
+                self._events.append(events.Stopped())
             self._end = card
         elif not self._events:
             values = (card.elapsed_s, card.index, card.status, card.distance_m, card.height_m)
-            self._events.append(MissionProgress(*values))
+            self._events.append(events.MissionProgress(*values))
 
     # -- orders ----------------------------------------------------------------------------------
 

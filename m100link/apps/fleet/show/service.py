@@ -13,24 +13,10 @@ from contextlib import ExitStack
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.messages import MessageError
 from m100link.apps.bus.network import Bus, Question
+from m100link.apps.fleet import payloads
 from m100link.apps.fleet.agent import DuplicateNames, Verify, admit
 from m100link.apps.fleet.identity import Since
 from m100link.apps.fleet.keys import Keys, name_in
-from m100link.apps.fleet.payloads import (
-    VERSION,
-    AskShow,
-    LeaveShow,
-    LoadTrack,
-    OrderMessage,
-    OrderReply,
-    SendTrack,
-    ShowCard,
-    ShowOrder,
-    StartShow,
-    TakePlace,
-    pack,
-    unpack,
-)
 from m100link.apps.fleet.show.plan.conflicts import ConflictMonitor, Neighbours
 from m100link.apps.fleet.show.plan.track import MAX_POINTS, BadShow
 from m100link.apps.fleet.show.track_executor import TrackExecutor
@@ -102,7 +88,7 @@ class ShowService:
                 ahead = self.performer.ahead()
                 if ahead is not None:
                     self._beside.tell(ahead)
-                    places.put(bytes([VERSION]) + ahead.to_bytes())
+                    places.put(bytes([payloads.VERSION]) + ahead.to_bytes())
                 await asyncio.sleep(_TELL_S)
 
     def shut_out(self, revoked: Since) -> None:
@@ -112,7 +98,7 @@ class ShowService:
             self.performer.give_way(NotAllowed(f"{self._placed_by} is revoked since {since}"))
 
     def _on_place(self, key: str, payload: bytes) -> None:
-        if self.performer.neighbours is None or payload[:1] != bytes([VERSION]):
+        if self.performer.neighbours is None or payload[:1] != bytes([payloads.VERSION]):
             return
         try:
             ahead = ConflictMonitor.from_bytes(payload[1:])
@@ -131,10 +117,10 @@ class ShowService:
             return
         identity, fault = "", None
         try:
-            order: OrderMessage = unpack(OrderMessage, question.payload)
+            order: payloads.OrderMessage = payloads.unpack(payloads.OrderMessage, question.payload)
             identity, digest = order.id, order.digest
             if digest not in self._known:  # by its id somebody else's would be taken for it
-                asked = admit(order, self._keys, ShowOrder, self._verify)
+                asked = admit(order, self._keys, payloads.ShowOrder, self._verify)
                 try:
                     self._do(order, asked)
                     self._known[digest] = None
@@ -145,31 +131,34 @@ class ShowService:
             fault = self._known[digest]
         except M100Error as error:
             fault = error
-        question.answer(self._keys.show, pack(self._reply(identity, fault)))
+        question.answer(self._keys.show, payloads.pack(self._reply(identity, fault)))
 
-    def _do(self, order: OrderMessage, asked: ShowOrder) -> None:
+    def _do(self, order: payloads.OrderMessage, asked: payloads.ShowOrder) -> None:
         performer = self.performer
-        if not isinstance(asked, AskShow):  # the answer says where it stands
+        if not isinstance(asked, payloads.AskShow):  # the answer says where it stands
             performer.require_run(asked.run)
         performer.heard(asked.run)
-        if isinstance(asked, LoadTrack | TakePlace | StartShow):
+        if isinstance(asked, payloads.LoadTrack | payloads.TakePlace | payloads.StartShow):
             # It takes off: not minutes later, when the conductor has given up.
             performer.ages.check(order.clock, self._client.now)
-        if isinstance(asked, TakePlace | StartShow) and self._duplicates is not None:
+        if (
+            isinstance(asked, payloads.TakePlace | payloads.StartShow)
+            and self._duplicates is not None
+        ):
             self._duplicates.require_none(self._client.now)
         match asked:
-            case SendTrack():
+            case payloads.SendTrack():
                 self._take_piece(asked.at, asked.data)
-            case LoadTrack():
+            case payloads.LoadTrack():
                 others = Neighbours(asked.show, self._keys.name, asked.least_m, asked.others)
                 known = others if asked.show else None
                 performer.load(bytes(self._pieces), asked.leave, known, asked.run)
-            case TakePlace():
+            case payloads.TakePlace():
                 self._placed_by = order.signer
                 performer.place(order.signer or order.by, order.clock)
-            case StartShow():
+            case payloads.StartShow():
                 performer.start(asked.digest, asked.at, asked.bound)
-            case LeaveShow():
+            case payloads.LeaveShow():
                 performer.leave()
 
     def _take_piece(self, at: int, data: bytes) -> None:
@@ -182,14 +171,14 @@ class ShowService:
             )
         self._pieces[at:] = data
 
-    def _reply(self, identity: str, error: M100Error | None) -> OrderReply:
+    def _reply(self, identity: str, error: M100Error | None) -> payloads.OrderReply:
         performer = self.performer
         track, why = performer.track, performer.fault
-        card = ShowCard(
+        card = payloads.ShowCard(
             performer.stage,
             "" if track is None else track.digest,
             performer.farthest_m,
             "" if why is None else why.seen,
         )
         now = self._client.now
-        return OrderReply.done(identity, self._keys.name, "", error, clock=now, show=card)
+        return payloads.OrderReply.done(identity, self._keys.name, "", error, clock=now, show=card)

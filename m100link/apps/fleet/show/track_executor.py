@@ -29,13 +29,7 @@ from m100link.apps.fleet.payloads import (
     StartShow,
     TakePlace,
 )
-from m100link.apps.fleet.show.plan.conflicts import (
-    ConflictMonitor,
-    Neighbours,
-    RestOfTrack,
-    by_speed,
-    by_track,
-)
+from m100link.apps.fleet.show.plan import conflicts
 from m100link.apps.fleet.show.plan.steering import LeftShow, TrackSteering, Why
 from m100link.apps.fleet.show.plan.track import BadShow, TimedTrack, Vector
 from m100link.errors import M100Error, NoAuthority, TelemetryStalled, UsageError
@@ -80,12 +74,12 @@ class TrackExecutor:
         self.track: TimedTrack | None = None  # what it is loaded with; None for nothing
         self.farthest_m = 0.0  # farthest from its track, by its own telemetry
         # The others of the show; None when it was loaded without a word about them.
-        self.neighbours: Neighbours | None = None
+        self.neighbours: conflicts.Neighbours | None = None
         # Which orders come too late: nobody waits for them, or it was stopped since.
         self.ages = OrderExpiry()
         # The id of the conductor's run, another one each time; empty when none was given.
         self.run = ""
-        self._rest: RestOfTrack | None = None
+        self._rest: conflicts.RestOfTrack | None = None
         # When its show begins, by the agent's clock; None before that is known.
         self._start_at: float | None = None
         self._leave = "land"
@@ -157,7 +151,7 @@ class TrackExecutor:
             )
 
     def load(
-        self, data: bytes, leave: str, neighbours: Neighbours | None = None, run: str = ""
+        self, data: bytes, leave: str, neighbours: conflicts.Neighbours | None = None, run: str = ""
     ) -> str:
         """Take a track.
 
@@ -176,7 +170,7 @@ class TrackExecutor:
         if leave not in ("hover", "land"):
             raise UsageError(f"leave cannot be {leave!r}", remedy="hover or land")
         self.track, self._leave, self.fault = track, leave, None
-        self.neighbours, self._rest = neighbours, RestOfTrack(track)
+        self.neighbours, self._rest = neighbours, conflicts.RestOfTrack(track)
         self._start_at, self.run = None, run
         self.heard()
         self.stage = ShowStage.LOADED
@@ -222,7 +216,7 @@ class TrackExecutor:
         self.stage = ShowStage.LEFT
         self._control.let_go()
 
-    def ahead(self) -> ConflictMonitor | None:
+    def ahead(self) -> conflicts.ConflictMonitor | None:
         """Where it will be, for the others of its show; None when there is nothing to tell."""
         track, show, start_at = self.track, self.neighbours, self._start_at
         if track is None or show is None or start_at is None:
@@ -235,12 +229,12 @@ class TrackExecutor:
         except TelemetryStalled:
             return None  # nobody knows; it leaves for that, or has left
         if self.stage is ShowStage.FLYING:
-            return by_track(show.show, track, at, here)
+            return conflicts.by_track(show.show, track, at, here)
         speed = self._client.view.to_steer_by(Velocity)
         moves = (0.0, 0.0, 0.0)
         if speed is not None:
             moves = speed.north_m_s, speed.east_m_s, speed.up_m_s
-        return by_speed(show.show, self._name, at, here, moves)
+        return conflicts.by_speed(show.show, self._name, at, here, moves)
 
     # -- what it does ----------------------------------------------------------------------------
 

@@ -26,28 +26,18 @@ from m100link.apps.mavlink.translator.numbers import (
     Severity,
 )
 from m100link.apps.mavlink.translator.vehicle_state import LOWEST_BATTERY, VehicleState
-from m100link.protocol.records import (
-    Acceleration,
-    AngularVelocity,
-    Attitude,
-    Battery,
-    FlightPhase,
-    Magnetometer,
-    Position,
-    RemoteControl,
-    Velocity,
-)
+from m100link.protocol import records
 from m100link.telemetry.integrity import GOOD_GPS
 
 Fields = dict[str, Any]
 
 _U16, _U8, _U32 = 0xFFFF, 0xFF, 0xFFFFFFFF
 _LANDED = {
-    FlightPhase.STANDBY: LandedState.ON_GROUND,
-    FlightPhase.TAKING_OFF: LandedState.TAKEOFF,
-    FlightPhase.IN_AIR: LandedState.IN_AIR,
-    FlightPhase.LANDING: LandedState.LANDING,
-    FlightPhase.FINISHING_LANDING: LandedState.LANDING,
+    records.FlightPhase.STANDBY: LandedState.ON_GROUND,
+    records.FlightPhase.TAKING_OFF: LandedState.TAKEOFF,
+    records.FlightPhase.IN_AIR: LandedState.IN_AIR,
+    records.FlightPhase.LANDING: LandedState.LANDING,
+    records.FlightPhase.FINISHING_LANDING: LandedState.LANDING,
 }
 
 
@@ -63,20 +53,20 @@ def _sys_status(world: VehicleState, now: float) -> Fields:
     view = world.known.view
     place, present, health = view.place, 0, 0
     for record, bit in (
-        (AngularVelocity, Sensor.GYRO),
-        (Acceleration, Sensor.ACCELEROMETER),
-        (Magnetometer, Sensor.MAGNETOMETER),
-        (Position, Sensor.GPS),
-        (RemoteControl, Sensor.RC),
+        (records.AngularVelocity, Sensor.GYRO),
+        (records.Acceleration, Sensor.ACCELEROMETER),
+        (records.Magnetometer, Sensor.MAGNETOMETER),
+        (records.Position, Sensor.GPS),
+        (records.RemoteControl, Sensor.RC),
     ):
         if view.age(record) is not None:
             present |= bit
         is_true = bit is not Sensor.GPS or (place and view.integrity.is_plausible)
         if view.get(record) is not None and is_true:
             health |= bit
-    battery = view.get(Battery)
+    battery = view.get(records.Battery)
     percent = battery.percent if battery is not None else -1
-    remote = view.get(RemoteControl)
+    remote = view.get(records.RemoteControl)
     if place and remote is not None and remote.is_in_f and percent >= LOWEST_BATTERY:
         health |= Sensor.PREARM
     present |= Sensor.PREARM
@@ -100,7 +90,7 @@ def _extended(world: VehicleState, now: float) -> Fields:
 
 def _attitude(world: VehicleState, now: float) -> Fields | None:
     view = world.known.view
-    attitude, rates = view.get(Attitude), view.get(AngularVelocity)
+    attitude, rates = view.get(records.Attitude), view.get(records.AngularVelocity)
     if attitude is None:
         return None
     return {
@@ -111,14 +101,14 @@ def _attitude(world: VehicleState, now: float) -> Fields | None:
     } | _rates(rates)
 
 
-def _rates(rates: AngularVelocity | None) -> Fields:
+def _rates(rates: records.AngularVelocity | None) -> Fields:
     given = rates or (math.nan,) * 3
     return dict(zip(("rollspeed", "pitchspeed", "yawspeed"), given, strict=True))
 
 
 def _quaternion(world: VehicleState, now: float) -> Fields | None:
     view = world.known.view
-    attitude, rates = view.get(Attitude), view.get(AngularVelocity)
+    attitude, rates = view.get(records.Attitude), view.get(records.AngularVelocity)
     if attitude is None:
         return None
     parts = zip(("q1", "q2", "q3", "q4"), attitude, strict=True)
@@ -127,7 +117,7 @@ def _quaternion(world: VehicleState, now: float) -> Fields | None:
 
 def _global(world: VehicleState, now: float) -> Fields | None:
     view = world.known.view
-    position, velocity, yaw = view.place, view.get(Velocity), world.yaw_deg
+    position, velocity, yaw = view.place, view.get(records.Velocity), world.yaw_deg
     if position is None or velocity is None or (world.home is None and view.is_on_ground):
         return None
     return {
@@ -144,7 +134,7 @@ def _global(world: VehicleState, now: float) -> Fields | None:
 
 
 def _local(world: VehicleState, now: float) -> Fields | None:
-    place, velocity = world.local, world.known.view.get(Velocity)
+    place, velocity = world.local, world.known.view.get(records.Velocity)
     if place is None or velocity is None:
         return None
     north, east, up = place
@@ -171,7 +161,7 @@ def _home(world: VehicleState, now: float) -> Fields | None:
 
 def _gps(world: VehicleState, now: float) -> Fields | None:
     view = world.known.view
-    position, velocity = view.get(Position), view.get(Velocity)
+    position, velocity = view.get(records.Position), view.get(records.Velocity)
     if position is None or position.gps_health is None:
         return None
     health = position.gps_health
@@ -193,7 +183,7 @@ def _gps(world: VehicleState, now: float) -> Fields | None:
 
 
 def _battery(world: VehicleState, now: float) -> Fields | None:
-    battery = world.known.view.get(Battery)
+    battery = world.known.view.get(records.Battery)
     if battery is None:
         return None
     return {
@@ -208,7 +198,7 @@ def _battery(world: VehicleState, now: float) -> Fields | None:
 
 
 def _rc(world: VehicleState, now: float) -> Fields | None:
-    remote = world.known.view.get(RemoteControl)
+    remote = world.known.view.get(records.RemoteControl)
     if remote is None:
         return None
     given = (remote.roll, remote.pitch, remote.throttle, remote.yaw, remote.mode, remote.gear)
@@ -221,7 +211,7 @@ def _rc(world: VehicleState, now: float) -> Fields | None:
 
 def _vfr(world: VehicleState, now: float) -> Fields | None:
     view = world.known.view
-    position, velocity, yaw = view.place, view.get(Velocity), world.yaw_deg
+    position, velocity, yaw = view.place, view.get(records.Velocity), world.yaw_deg
     if position is None or velocity is None or yaw is None:
         return None
     return {
@@ -235,7 +225,7 @@ def _vfr(world: VehicleState, now: float) -> Fields | None:
 
 
 def _altitude(world: VehicleState, now: float) -> Fields | None:
-    position, height = world.known.view.get(Position), world.height
+    position, height = world.known.view.get(records.Position), world.height
     if position is None or height is None:
         return None
     return {
@@ -251,8 +241,8 @@ def _altitude(world: VehicleState, now: float) -> Fields | None:
 
 def _estimator(world: VehicleState, now: float) -> Fields | None:
     view = world.known.view
-    integrity, velocity = view.integrity, view.get(Velocity)
-    flags = Estimator.ATTITUDE if view.get(Attitude) is not None else Estimator(0)
+    integrity, velocity = view.integrity, view.get(records.Velocity)
+    flags = Estimator.ATTITUDE if view.get(records.Attitude) is not None else Estimator(0)
     if not integrity.is_plausible:
         flags |= Estimator.GPS_GLITCH
     elif integrity.is_timely:
@@ -272,8 +262,8 @@ def _estimator(world: VehicleState, now: float) -> Fields | None:
 
 def _imu(world: VehicleState, now: float) -> Fields | None:
     view = world.known.view
-    rates, attitude = view.get(AngularVelocity), view.get(Attitude)
-    acceleration = view.get(Acceleration)
+    rates, attitude = view.get(records.AngularVelocity), view.get(records.Attitude)
+    acceleration = view.get(records.Acceleration)
     if rates is None:
         return None
     names = ("zacc", "yacc", "xacc", "xmag", "ymag", "zmag", "abs_pressure", "diff_pressure")
@@ -286,7 +276,9 @@ def _imu(world: VehicleState, now: float) -> Fields | None:
     return fields
 
 
-def _felt(acceleration: Acceleration, attitude: Attitude) -> tuple[float, float, float]:
+def _felt(
+    acceleration: records.Acceleration, attitude: records.Attitude
+) -> tuple[float, float, float]:
     """The reading of an accelerometer in the body: without gravity nobody takes it for one."""
     north, east, down = acceleration.ned
     down -= 9.80665

@@ -11,33 +11,18 @@ from nicegui.events import GenericEventArguments
 
 from m100link.apps.agent.lease import LeaseHeld
 from m100link.apps.agent.orders import FlyPattern, GoHome, Land
-from m100link.apps.station.console.components.component import (
-    ORDER,
-    Component,
-    PageContext,
-    ReadingRow,
-    Wording,
-    answer,
-    attribute,
-)
+from m100link.apps.station.console.components import component
 from m100link.apps.station.console.components.map import ClickPart
 from m100link.apps.station.console.tab import Tab
-from m100link.apps.station.console.view.fly import (
-    FIELDS,
-    ITEMS,
-    Check,
-    Checklist,
-    ChecklistItem,
-    ItemState,
-)
+from m100link.apps.station.console.view import fly
 from m100link.apps.station.console.view.texts import Text, tr
 from m100link.apps.station.console.view.view_model import ViewModel
 from m100link.errors import M100Error
 
 
 class Fly:
-    def __init__(self, page: PageContext) -> None:
-        made: tuple[tuple[str, Callable[[PageContext], Component]], ...] = (
+    def __init__(self, page: component.PageContext) -> None:
+        made: tuple[tuple[str, Callable[[component.PageContext], component.Component]], ...] = (
             ("hud", InstrumentsPart),
             ("orders", ActionsPart),
             ("clicked", ClickPart),
@@ -64,23 +49,23 @@ def _place(name: str) -> ui.element:
 # between the sticks: what keys do, and what the last one just did.
 
 
-def _build_sticks(wording: Wording) -> None:
+def _build_sticks(wording: component.Wording) -> None:
     with ui.element("div").props("id=pad tabindex=0 role=group") as pad:
         _build_stick(wording, "climb", "turn,up")
         with ui.element("div").classes("between"):
             _build_legend(wording)
         _build_stick(wording, "move", "right,forward")
-    wording.put(attribute(pad), "page.steering")
+    wording.put(component.attribute(pad), "page.steering")
 
 
-def _build_stick(wording: Wording, name: str, axes: str) -> None:
+def _build_stick(wording: component.Wording, name: str, axes: str) -> None:
     key = f"page.stick.{name}"
     with ui.element("div").classes(f"stick {name}").props(f"data-axes={axes} role=img") as stick:
         wording.label(key)
-    wording.put(attribute(stick), "page.stick", what=Text(key))
+    wording.put(component.attribute(stick), "page.stick", what=Text(key))
 
 
-def _build_legend(wording: Wording) -> None:
+def _build_legend(wording: component.Wording) -> None:
     with ui.element("div").classes("legend"):
         wording.label("page.legend.idle").classes("idle by-keys")
         wording.label("page.legend.idle.finger").classes("idle by-finger")
@@ -97,10 +82,10 @@ def _build_legend(wording: Wording) -> None:
                 ui.element("span").classes("hint").props("data-hint")
 
 
-def _build_step(wording: Wording, what: str, sign: str) -> None:
+def _build_step(wording: component.Wording, what: str, sign: str) -> None:
     with ui.element("button").props(f"type=button data-steer={what}") as step:
         ui.label(sign).props("aria-hidden=true")
-    wording.put(attribute(step), f"page.legend.{what}")
+    wording.put(component.attribute(step), f"page.legend.{what}")
 
 
 def _span() -> ui.html:
@@ -115,12 +100,12 @@ _SHOWN = ("flight_status", "battery", "gps", "height", "speed", "mode_switch")
 class InstrumentsPart:
     """The flight instruments; ``static/instruments.js`` draws the canvas from the socket."""
 
-    def __init__(self, page: PageContext) -> None:
+    def __init__(self, page: component.PageContext) -> None:
         horizon = ui.element("canvas").props("id=horizon role=img")
-        page.wording.put(attribute(horizon), "instruments.horizon")
+        page.wording.put(component.attribute(horizon), "instruments.horizon")
         with ui.element("div").classes("values"):
-            names = [one.name for one in FIELDS if one.name in _SHOWN]
-            self._rows = {name: ReadingRow(name, page.wording) for name in names}
+            names = [one.name for one in fly.FIELDS if one.name in _SHOWN]
+            self._rows = {name: component.ReadingRow(name, page.wording) for name in names}
 
     def update(self, view: ViewModel) -> None:
         for name, row in self._rows.items():
@@ -133,7 +118,7 @@ class InstrumentsPart:
 class TakeOverDialog:
     """Obtains control, and asks when somebody has it."""
 
-    def __init__(self, tab: Tab, wording: Wording) -> None:
+    def __init__(self, tab: Tab, wording: component.Wording) -> None:
         self._tab, self._wording = tab, wording
         # The order runs in the background, where no element can be made.
         self._is_wanted = False
@@ -162,7 +147,7 @@ class TakeOverDialog:
             with ui.row():
 
                 async def confirm(event: GenericEventArguments) -> None:
-                    said = answer(event)
+                    said = component.answer(event)
                     dialog.close()
 
                     async def order() -> None:
@@ -176,7 +161,7 @@ class TakeOverDialog:
                         ui.label(self._wording(Text(f"page.take_over.{name}")))
                     button.props(f"type=button id={name}")
                     if name == "confirm":
-                        button.on("click", confirm, js_handler=ORDER)
+                        button.on("click", confirm, js_handler=component.ORDER)
                     else:
                         button.on("click", dialog.close, args=[])
         dialog.open()
@@ -184,7 +169,7 @@ class TakeOverDialog:
 
 # -- before take-off -------------------------------------------------------------------------------
 
-_SHAPES = {ItemState.RIGHT: "✔", ItemState.WRONG: "✖", ItemState.UNKNOWN: "?"}
+_SHAPES = {fly.ItemState.RIGHT: "✔", fly.ItemState.WRONG: "✖", fly.ItemState.UNKNOWN: "?"}
 
 
 @dataclass(slots=True)
@@ -196,20 +181,20 @@ class _Row:
     state: Any
     seen: Any
     remedy: Any
-    shown: ItemState | None = None
+    shown: fly.ItemState | None = None
 
 
 class ChecklistPart:
     """What :class:`~m100link.apps.station.console.view.fly.Checklist` says."""
 
-    def __init__(self, page: PageContext) -> None:
+    def __init__(self, page: component.PageContext) -> None:
         self._page = page
         self._take_over = TakeOverDialog(page.tab, page.wording)
         wording, checklist = page.wording, page.memory.checklist
         with wording.card("checklist.title"):
             self._summary = ui.label().classes("summary").props("id=check-summary role=status")
             with ui.element("ul").classes("checks").props("id=checks"):
-                self._rows = {item: self._build_row(item) for item in ITEMS}
+                self._rows = {item: self._build_row(item) for item in fly.ITEMS}
             free = ui.checkbox(on_change=lambda event: self._say_free(is_free=bool(event.value)))
             self._free = free.props("id=free-said").classes("free")
             wording.put(self._free.set_text, "checklist.free.box")
@@ -223,7 +208,7 @@ class ChecklistPart:
                 add("obtain", "actions.obtain", self._take_over.obtain, kind="plain")
                 add("take_off", "actions.take_off", page.take_off)
 
-    def _build_row(self, item: ChecklistItem) -> _Row:
+    def _build_row(self, item: fly.ChecklistItem) -> _Row:
         wording = self._page.wording
         with ui.element("li").classes("check").props(f"data-check={item.value}") as box:
             shape = ui.label().classes("shape").props("aria-hidden=true")
@@ -232,7 +217,7 @@ class ChecklistPart:
                     wording.label(f"checklist.{item.value}").classes("name")
                     state = ui.label().classes("unseen")
                     seen = ui.label().classes("seen")
-                    if ITEMS[item]:
+                    if fly.ITEMS[item]:
                         wording.label("checklist.needed").classes("needed")
                 remedy = ui.label().classes("remedy")
         return _Row(box, shape, state, seen, remedy)
@@ -256,7 +241,7 @@ class ChecklistPart:
         if not checklist.reason and self._why.value and view.checklist.is_green:
             self._why.set_value("")
 
-    def _show(self, row: _Row, check: Check) -> None:
+    def _show(self, row: _Row, check: fly.Check) -> None:
         wording = self._page.wording
         row.seen.set_text(wording(check.seen))
         row.remedy.set_text(wording(check.remedy) if check.remedy is not None else "")
@@ -267,7 +252,7 @@ class ChecklistPart:
             row.shown = check.state
 
 
-def _summary(checklist: Checklist) -> Text:
+def _summary(checklist: fly.Checklist) -> Text:
     if checklist.is_green:
         return tr("checklist.green")
     if not checklist.is_possible:
@@ -283,7 +268,7 @@ _SIMPLE = (0, 1, 4)
 class ActionsPart:
     """Control, take-off, landing, go home and simple tasks."""
 
-    def __init__(self, page: PageContext) -> None:
+    def __init__(self, page: component.PageContext) -> None:
         self._page = page
         self._take_over = TakeOverDialog(page.tab, page.wording)
         tab, add = page.tab, page.buttons.add
@@ -304,7 +289,7 @@ class ActionsPart:
             self._number.props("dense outlined id=task-number")
             keys = {number: f"page.simple.{number}" for number in _SIMPLE}
             page.wording.options(self._number, keys)
-            page.wording.put(attribute(self._number), "page.which_task")
+            page.wording.put(component.attribute(self._number), "page.which_task")
         # Behind the buttons: it comes and goes, and they stay where the finger is.
         with ui.element("div").classes("told"):
             self._activation = ui.label().props("id=activation")

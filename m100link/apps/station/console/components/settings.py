@@ -13,15 +13,7 @@ from nicegui.events import ValueChangeEventArguments
 
 from m100link.apps.station.console.components.component import PageContext, Wording, attribute
 from m100link.apps.station.console.orders import SimulatorOrders
-from m100link.apps.station.console.view.texts import (
-    DisplaySettings,
-    Language,
-    LengthUnit,
-    SpeedUnit,
-    Text,
-    Theme,
-    for_browser,
-)
+from m100link.apps.station.console.view import texts
 from m100link.apps.station.console.view.view_model import ViewModel
 from m100link.errors import M100Error
 from m100link.protocol.records import RcMode
@@ -31,10 +23,10 @@ from m100link.protocol.records import RcMode
 _KEY = "m100link.settings"
 _PATIENCE = 30.0  # seconds that a busy browser has to say what it kept
 _CHOICES: tuple[tuple[str, type[Enum]], ...] = (
-    ("language", Language),
-    ("length", LengthUnit),
-    ("speed", SpeedUnit),
-    ("theme", Theme),
+    ("language", texts.Language),
+    ("length", texts.LengthUnit),
+    ("speed", texts.SpeedUnit),
+    ("theme", texts.Theme),
 )
 _NAMED = ("language", "theme")  # the others are signs of units
 
@@ -50,17 +42,17 @@ async def load_settings(page: PageContext) -> None:
         return  # the page has gone, or hangs: it stays as it is
     if isinstance(ahead, int) and abs(ahead) <= 14 * 60:
         page.wording.utc_offset_min = ahead
-    apply_settings(page, DisplaySettings.from_text(kept))
+    apply_settings(page, texts.DisplaySettings.from_text(kept))
 
 
-def apply_settings(page: PageContext, settings: DisplaySettings) -> None:
+def apply_settings(page: PageContext, settings: texts.DisplaySettings) -> None:
     """Let the page look and speak as it was chosen."""
     if settings.name:
         page.tab.session.name = settings.name
-    page.dark.set_value({Theme.AUTO: None, Theme.DARK: True}.get(settings.theme, False))
-    speaker = json.dumps(for_browser(settings.speaker))
+    page.dark.set_value({texts.Theme.AUTO: None, texts.Theme.DARK: True}.get(settings.theme, False))
+    speaker = json.dumps(texts.for_browser(settings.speaker))
     ui.run_javascript(
-        f"document.body.classList.toggle('sun', {json.dumps(settings.theme is Theme.SUN)});"
+        f"document.body.classList.toggle('sun', {json.dumps(settings.theme is texts.Theme.SUN)});"
         f'import("/console/said.js").then((said) => said.choose({speaker}));'
     )
     page.wording.choose(settings)
@@ -121,7 +113,7 @@ class SettingsPart:
     def _try_sound(self) -> None:
         wording = self._page.wording
         tried = {
-            "text": wording(Text("settings.tried")),
+            "text": wording(texts.Text("settings.tried")),
             "language": wording.settings.language.value,
             "sound": wording.settings.sound,
             "speech": wording.settings.speech,

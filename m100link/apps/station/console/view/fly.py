@@ -12,19 +12,7 @@ from m100link.apps.agent.client import VehicleView
 from m100link.apps.agent.latency import MAX_ROUND_TRIP
 from m100link.apps.station.console.view.situation import Inputs, Situation
 from m100link.apps.station.console.view.texts import Quantity, Text, tr
-from m100link.protocol.records import (
-    AngularVelocity,
-    Attitude,
-    Battery,
-    ControlDevice,
-    FlightStatus,
-    Gimbal,
-    Position,
-    RcMode,
-    RemoteControl,
-    Time,
-    Velocity,
-)
+from m100link.protocol import records
 from m100link.telemetry.integrity import GOOD_GPS, MAX_TELEMETRY_AGE
 from m100link.telemetry.state import is_finite
 
@@ -132,7 +120,7 @@ def _ground(now: Situation) -> _Finding:
 def _switch(now: Situation) -> _Finding:
     if now.switch is None:
         return None, _UNKNOWN
-    return now.switch is RcMode.F, tr("checklist.switch.seen", switch=now.switch.name)
+    return now.switch is records.RcMode.F, tr("checklist.switch.seen", switch=now.switch.name)
 
 
 def _control(now: Situation) -> _Finding:
@@ -304,21 +292,21 @@ class FieldReading:
     note: Text | None = None  # its age when it is stale; None where there is nothing to add
 
 
-def _phase(status: FlightStatus) -> Text:
+def _phase(status: records.FlightStatus) -> Text:
     phase = status.phase
     if phase is None:
         return tr("instruments.unknown_code", code=status.status)
     return Text(f"instruments.phase.{phase.name.lower()}")
 
 
-def _device(item: ControlDevice) -> Text:
+def _device(item: records.ControlDevice) -> Text:
     device = item.device
     if device is None:
         return tr("instruments.unknown_code", code=item.control)
     return Text(f"instruments.device.{device.name.lower()}")
 
 
-def _gps_reading(position: Position) -> Text:
+def _gps_reading(position: records.Position) -> Text:
     health = position.gps_health
     if health is None:
         return tr("instruments.gps.none")
@@ -334,34 +322,36 @@ def _place(degrees: float) -> Text:
     return tr("instruments.degrees", value=f"{degrees:.6f}")
 
 
-def _gimbal(gimbal: Gimbal) -> Text:
+def _gimbal(gimbal: records.Gimbal) -> Text:
     roll, pitch, yaw = map(round, (gimbal.roll_deg, gimbal.pitch_deg, gimbal.yaw_deg))
     return tr("instruments.gimbal_angles", roll=roll, pitch=pitch, yaw=yaw)
 
 
-def _charge(battery: Battery) -> Text:
+def _charge(battery: records.Battery) -> Text:
     if not battery.is_possible:
         return tr("instruments.unknown_code", code=battery.percent)
     return tr("unit.percent", percent=battery.percent)
 
 
 FIELDS: tuple[FieldSpec, ...] = (
-    FieldSpec("flight_status", FlightStatus, _phase),
-    FieldSpec("battery", Battery, _charge),
-    FieldSpec("gps", Position, _gps_reading),
-    FieldSpec("height", Position, lambda p: _value(Quantity.length(p.height_m, 1))),
-    FieldSpec("altitude", Position, lambda p: _value(Quantity.length(p.altitude_m, 1))),
-    FieldSpec("latitude", Position, lambda p: _place(p.latitude_deg)),
-    FieldSpec("longitude", Position, lambda p: _place(p.longitude_deg)),
-    FieldSpec("speed", Velocity, lambda v: _value(Quantity.speed(v.ground_speed_m_s))),
-    FieldSpec("climb", Velocity, lambda v: _value(Quantity.speed(v.up_m_s, signed=True))),
+    FieldSpec("flight_status", records.FlightStatus, _phase),
+    FieldSpec("battery", records.Battery, _charge),
+    FieldSpec("gps", records.Position, _gps_reading),
+    FieldSpec("height", records.Position, lambda p: _value(Quantity.length(p.height_m, 1))),
+    FieldSpec("altitude", records.Position, lambda p: _value(Quantity.length(p.altitude_m, 1))),
+    FieldSpec("latitude", records.Position, lambda p: _place(p.latitude_deg)),
+    FieldSpec("longitude", records.Position, lambda p: _place(p.longitude_deg)),
+    FieldSpec("speed", records.Velocity, lambda v: _value(Quantity.speed(v.ground_speed_m_s))),
+    FieldSpec("climb", records.Velocity, lambda v: _value(Quantity.speed(v.up_m_s, signed=True))),
     FieldSpec(
-        "heading", Attitude, lambda a: tr("instruments.degrees", value=round(a.yaw_deg) % 360)
+        "heading",
+        records.Attitude,
+        lambda a: tr("instruments.degrees", value=round(a.yaw_deg) % 360),
     ),
-    FieldSpec("gimbal", Gimbal, _gimbal),
-    FieldSpec("mode_switch", RemoteControl, lambda rc: _value(rc.mode_switch.name)),
-    FieldSpec("control_device", ControlDevice, _device),
-    FieldSpec("time", Time, lambda t: tr("unit.seconds", seconds=t.seconds)),
+    FieldSpec("gimbal", records.Gimbal, _gimbal),
+    FieldSpec("mode_switch", records.RemoteControl, lambda rc: _value(rc.mode_switch.name)),
+    FieldSpec("control_device", records.ControlDevice, _device),
+    FieldSpec("time", records.Time, lambda t: tr("unit.seconds", seconds=t.seconds)),
 )
 """The fields, in the order of the page."""
 
@@ -390,7 +380,7 @@ class Instruments:
 def instruments_of(inputs: Inputs) -> Instruments:
     """The instruments as they are now; values of an agent that is not heard any more are old."""
     view = inputs.vehicle
-    attitude = view.get(Attitude)
+    attitude = view.get(records.Attitude)
     return Instruments(
         {field.name: read(field, view) for field in FIELDS},
         (attitude.roll_deg, attitude.pitch_deg, attitude.yaw_deg) if attitude is not None else None,
@@ -404,9 +394,9 @@ def live(view: VehicleView) -> dict[str, Any]:
         return message
     if view.telemetry_at is not None:
         message["age"] = round(view.now - view.telemetry_at, 3)
-    attitude, position = view.get(Attitude), view.get(Position)
-    velocity, rates = view.get(Velocity), view.get(AngularVelocity)
-    rc = view.get(RemoteControl)
+    attitude, position = view.get(records.Attitude), view.get(records.Position)
+    velocity, rates = view.get(records.Velocity), view.get(records.AngularVelocity)
+    rc = view.get(records.RemoteControl)
     if view.is_on_ground:
         message["ground"] = True
     if attitude is not None:
@@ -421,7 +411,7 @@ def live(view: VehicleView) -> dict[str, Any]:
         message["yaw_rate"] = round(rates.yaw_rate_deg_s, 1)
     if rc is not None:
         message["rc"] = [rc.roll, rc.pitch, rc.yaw, rc.throttle]
-    message["rate"] = round(view.telemetry.statistics(Attitude).rate_hz or 0.0, 1)
+    message["rate"] = round(view.telemetry.statistics(records.Attitude).rate_hz or 0.0, 1)
     return message
 
 
@@ -432,7 +422,7 @@ def _rounded(digits: int, *numbers: float) -> list[float]:
 def seen_from_afar(name: str, view: VehicleView) -> dict[str, Any]:
     """The data for the map of an aircraft that the page does not show; no place when it is old."""
     message: dict[str, Any] = {"name": name}
-    position, attitude = view.get(Position), view.get(Attitude)
+    position, attitude = view.get(records.Position), view.get(records.Attitude)
     if position is not None:
         place = _rounded(7, position.latitude_deg, position.longitude_deg)
         message["pos"] = [*place, round(position.height_m, 1)]

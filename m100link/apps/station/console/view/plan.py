@@ -16,22 +16,9 @@ from typing import Self
 from m100link.apps.station.console.view.texts import Quantity, QuantityKind, Text, Units, tr
 from m100link.errors import BadPlan, UsageError
 from m100link.geodesy import distance_m
+from m100link.missions import waypoint
 from m100link.missions.plan import PlanEstimate, WaypointPlan
 from m100link.missions.survey import survey
-from m100link.missions.waypoint import (
-    AtEnd,
-    GimbalPitch,
-    Heading,
-    OnRCLoss,
-    StartVideo,
-    Stay,
-    StopVideo,
-    TakePhoto,
-    Trace,
-    TurnTo,
-    Waypoint,
-    WaypointAction,
-)
 
 Place = tuple[float, float]
 
@@ -43,13 +30,13 @@ _OF_POINT = re.compile(r"waypoint (\d+): ")
 class Draft:
     """The plan as drawn so far. The fields are those of :class:`m100link.WaypointPlan`."""
 
-    points: tuple[Waypoint, ...] = ()  # waypoints, in the order in which they are flown
+    points: tuple[waypoint.Waypoint, ...] = ()  # waypoints, in the order in which they are flown
     speed: float = 5.0  # along the way, m/s
     max_speed: float = 10.0  # what speed and stick together never exceed, m/s
-    heading: Heading = Heading.ALONG_PATH  # where the nose points
-    trace: Trace = Trace.STOP_AT_POINTS  # whether it stops at the waypoints
-    at_end: AtEnd = AtEnd.HOVER  # what happens after the last one
-    on_rc_loss: OnRCLoss = OnRCLoss.FAILSAFE  # what happens when the RC is lost
+    heading: waypoint.Heading = waypoint.Heading.ALONG_PATH  # where the nose points
+    trace: waypoint.Trace = waypoint.Trace.STOP_AT_POINTS  # whether it stops at the waypoints
+    at_end: waypoint.AtEnd = waypoint.AtEnd.HOVER  # what happens after the last one
+    on_rc_loss: waypoint.OnRCLoss = waypoint.OnRCLoss.FAILSAFE  # what happens when the RC is lost
     gimbal_by_waypoint: bool = False  # whether the camera's pitch changes from point to point
     repeat: int = 1  # how many times the way is flown
     area: tuple[Place, ...] = ()  # corners of the area for a survey, latitude and longitude, °
@@ -71,7 +58,7 @@ class Draft:
     def added(self, place: Place, height: float, after: int | None = None) -> Draft:
         """With a point more: at the end, or after another one."""
         at = len(self.points) if after is None else after + 1
-        point = Waypoint(*place, height=height)
+        point = waypoint.Waypoint(*place, height=height)
         return replace(self, points=(*self.points[:at], point, *self.points[at:]))
 
     def moved(self, index: int, place: Place) -> Draft:
@@ -202,7 +189,7 @@ def _error(problem: BadPlan) -> PlanNote:
     return PlanNote(f"{problem.seen}{remedy}", problem.point, is_error=True)
 
 
-def profile(points: Sequence[Waypoint]) -> list[tuple[float, float]]:
+def profile(points: Sequence[waypoint.Waypoint]) -> list[tuple[float, float]]:
     """Metres along the way, and height above take-off, of each waypoint."""
     steps = [
         distance_m(here.latitude_deg, here.longitude_deg, there.latitude_deg, there.longitude_deg)
@@ -214,18 +201,18 @@ def profile(points: Sequence[Waypoint]) -> list[tuple[float, float]]:
 
 # -- actions as a line of text ---------------------------------------------------------------------
 
-_WORDS: dict[str, type[WaypointAction]] = {
-    "photo": TakePhoto,
-    "video": StartVideo,
-    "cut": StopVideo,
-    "stay": Stay,
-    "turn": TurnTo,
-    "pitch": GimbalPitch,
+_WORDS: dict[str, type[waypoint.WaypointAction]] = {
+    "photo": waypoint.TakePhoto,
+    "video": waypoint.StartVideo,
+    "cut": waypoint.StopVideo,
+    "stay": waypoint.Stay,
+    "turn": waypoint.TurnTo,
+    "pitch": waypoint.GimbalPitch,
 }
 _WITH_NUMBER = ("stay", "turn", "pitch")
 
 
-def actions_of(text: str) -> tuple[WaypointAction, ...]:
+def actions_of(text: str) -> tuple[waypoint.WaypointAction, ...]:
     """The actions that a line of text names: ``pitch -60, photo, stay 2``.
 
     Raises ``UsageError``: a word that is none, or a number too few or too many.
@@ -249,14 +236,14 @@ def actions_of(text: str) -> tuple[WaypointAction, ...]:
     return tuple(found)
 
 
-def text_of(actions: Sequence[WaypointAction]) -> str:
+def text_of(actions: Sequence[waypoint.WaypointAction]) -> str:
     """The line of text that names them."""
     words = {kind: word for word, kind in _WORDS.items()}
     parts = []
     for action in actions:
         word = words[type(action)]
         match action:
-            case Stay(number) | TurnTo(number) | GimbalPitch(number):
+            case waypoint.Stay(number) | waypoint.TurnTo(number) | waypoint.GimbalPitch(number):
                 parts.append(f"{word} {number:g}")
             case _:
                 parts.append(word)
@@ -298,7 +285,7 @@ def upload_of(plan: WaypointPlan | None, uploaded: WaypointPlan | None, name: st
     return tr("plan.is_another", name=name)
 
 
-def row_of(number: int, point: Waypoint) -> Text:
+def row_of(number: int, point: waypoint.Waypoint) -> Text:
     actions = text_of(point.actions)
     height = Quantity.length(point.height, 1)
     return tr("plan.row", number=number, height=height, actions=f", {actions}" * bool(actions))

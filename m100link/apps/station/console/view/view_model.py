@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from m100link.apps.station.console.view import fly, header
 from m100link.apps.station.console.view.alarms import (
     ActiveAlarm,
     AlarmManager,
@@ -14,24 +15,6 @@ from m100link.apps.station.console.view.alarms import (
     AlarmState,
 )
 from m100link.apps.station.console.view.data import Diary, EventLine, LinkView, link_of
-from m100link.apps.station.console.view.fly import (
-    Checklist,
-    ChecklistModel,
-    Instruments,
-    actions_of,
-    instruments_of,
-)
-from m100link.apps.station.console.view.header import (
-    FleetRow,
-    MissionView,
-    ReplayView,
-    StatusLine,
-    activation_of,
-    fleet_of,
-    mission_of,
-    replay_of,
-    status_line,
-)
 from m100link.apps.station.console.view.map import Chart, chart_of
 from m100link.apps.station.console.view.situation import AlarmLevel, Inputs, Situation, situation_of
 from m100link.apps.station.console.view.texts import Text, problem_text, tr
@@ -41,22 +24,22 @@ from m100link.apps.station.console.view.texts import Text, problem_text, tr
 class ViewModel:
     at: float  # time on the agent's clock, s
     situation: Situation  # what is known, as plain values
-    status: StatusLine  # the status line
+    status: header.StatusLine  # the status line
     activation: Text  # how far activation is
     problem: Text | None  # what was refused last; None for nothing
     alarms: tuple[ActiveAlarm, ...]  # what is alarming, the most urgent first
     sounding: (
         AlarmLevel | None
     )  # the most urgent level that nobody has acknowledged; None for silence
-    checklist: Checklist  # what is right before take-off
-    instruments: Instruments  # values of the telemetry, each with its age
+    checklist: fly.Checklist  # what is right before take-off
+    instruments: fly.Instruments  # values of the telemetry, each with its age
     chart: Chart  # what stands on the map besides what moves
     actions: frozenset[str]  # names of the buttons that can be pressed
-    mission: MissionView
+    mission: header.MissionView
     link: LinkView  # the link in numbers
     events: tuple[EventLine, ...]  # what happened, oldest first
-    fleet: tuple[FleetRow, ...]  # a row for each aircraft, when there are several
-    replay: ReplayView | None  # where the replay is; None for an aircraft
+    fleet: tuple[header.FleetRow, ...]  # a row for each aircraft, when there are several
+    replay: header.ReplayView | None  # where the replay is; None for an aircraft
 
 
 def view_of(inputs: Inputs, memory: Memory | None = None) -> ViewModel:
@@ -66,20 +49,20 @@ def view_of(inputs: Inputs, memory: Memory | None = None) -> ViewModel:
     return ViewModel(
         at=inputs.vehicle.now,
         situation=memory.situation,
-        status=status_line(memory.situation),
-        activation=activation_of(inputs),
+        status=header.status_line(memory.situation),
+        activation=header.activation_of(inputs),
         problem=None if inputs.refusal is None else problem_text(inputs.refusal),
         alarms=alarms,
         sounding=memory.alarms.sounding,
         checklist=checklist,
-        instruments=instruments_of(inputs),
+        instruments=fly.instruments_of(inputs),
         chart=chart_of(inputs),
-        actions=actions_of(inputs, memory.situation, checklist),
-        mission=mission_of(inputs),
+        actions=fly.actions_of(inputs, memory.situation, checklist),
+        mission=header.mission_of(inputs),
         link=link_of(inputs),
         events=tuple(memory.diary.lines),
-        fleet=fleet_of(inputs.fleet),
-        replay=replay_of(inputs.vehicle.state.replay),
+        fleet=header.fleet_of(inputs.fleet),
+        replay=header.replay_of(inputs.vehicle.state.replay),
     )
 
 
@@ -99,12 +82,12 @@ class Memory:
 
     def __init__(self) -> None:
         self.alarms = AlarmManager()  # the operator of the page acknowledges them
-        self.checklist = ChecklistModel()  # what the operator said about this take-off
+        self.checklist = fly.ChecklistModel()  # what the operator said about this take-off
         self.diary = Diary()  # the station's events, and what happened to the alarms here
         self.situation = Situation()  # what was known when it looked last
         self._ahead = 0.0  # the wall's clock of the agent's
 
-    def look(self, inputs: Inputs) -> tuple[tuple[ActiveAlarm, ...], Checklist]:
+    def look(self, inputs: Inputs) -> tuple[tuple[ActiveAlarm, ...], fly.Checklist]:
         """Judge everything by what is known now; returns the alarms and the checklist."""
         now = self.situation = situation_of(inputs)
         self._ahead = inputs.wall - inputs.vehicle.now
