@@ -26,8 +26,7 @@ if TYPE_CHECKING:
 def envelope_of(max_height: float, max_radius: float) -> Envelope:
     """The envelope of an agent: metres above the take-off point, and from where control began.
 
-    Raises:
-        UsageError: One of them cannot be.
+    Raises UsageError: one of them cannot be.
     """
     return Envelope(max_height_m=max_height, max_radius_m=max_radius)
 

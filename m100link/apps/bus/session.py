@@ -334,9 +334,8 @@ class ZenohBus:
 async def open_session(opening: Opening) -> AsyncIterator[ZenohBus]:
     """A session while the block runs; a router that is lost meanwhile is found again.
 
-    Raises:
-        UsageError: The package is missing, the file or an option cannot be, a port is taken, or
-            no router answered.
+    Raises UsageError: the package is missing, the file or an option cannot be, a port is taken, or
+    no router answered.
     """
     try:
         import zenoh

@@ -189,10 +189,8 @@ class Asker:
 
         Returns the answer, whatever it says; None when none came in time that can be read.
 
-        ``within``: seconds.
-
-        Raises:
-            OutcomeUnknown: Two agents answered, or the reply belongs to another order.
+        ``within``: seconds. Raises OutcomeUnknown: two agents answered, or the reply belongs to
+        another order.
         """
         asked = order or self.around(orders.AskVersion())
         asked_at = self._clock()
@@ -203,11 +201,9 @@ class Asker:
     async def once(self, key: str, asked: Asked, *, within: float) -> OrderReply | None:
         """Ask once, by a new order, what is asked under a key of its own.
 
-        Returns the answer, whatever it says; None when none came in time.
-
-        Raises:
-            MessageError: The answer cannot be read.
-            OutcomeUnknown: Two agents answered, or the reply belongs to another order.
+        Returns the answer, whatever it says; None when none came in time. Raises MessageError: the
+        answer cannot be read. Raises OutcomeUnknown: two agents answered, or the reply belongs to
+        another order.
         """
         order, asked_at = self.around(asked), self._clock()
         # Looked for beside it: what ends a show waits for nothing.
@@ -447,11 +443,8 @@ def believed(
     """Return the answer of an aircraft to an order.
 
     Returns its reply, or the reason why no reply can be read; None when it did not answer. Answers
-    of other sessions do not count.
-
-    Raises:
-        OutcomeUnknown: Two agents have that name, two answers say different things, or what they
-            say is of another order.
+    of other sessions do not count. Raises OutcomeUnknown: two agents have that name, two answers
+    say different things, or what they say is of another order.
     """
     replies: list[OrderReply] = []
     unread: MessageError | None = None

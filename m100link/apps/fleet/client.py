@@ -294,11 +294,7 @@ class Fleet:
     # -- what they are asked ---------------------------------------------------------------------
 
     def __getitem__(self, name: str) -> FleetAircraft:
-        """One aircraft, present or not.
-
-        Raises:
-            UsageError: That cannot be a name.
-        """
+        """One aircraft, present or not. Raises UsageError: that cannot be a name."""
         return FleetAircraft(self.asker(name), self._name)
 
     def asker(self, name: str, by: str = "") -> Asker:
@@ -419,11 +415,8 @@ def open_fleet(
 ) -> AbstractAsyncContextManager[ZenohBus]:
     """A session while the block runs; a router that is lost meanwhile is found again.
 
-    There is no discovery by multicast or gossip: only named endpoints are met.
-
-    Raises:
-        UsageError: The package is missing, an option cannot be, a port is taken, or no router
-            answered.
+    There is no discovery by multicast or gossip: only named endpoints are met. Raises UsageError:
+    the package is missing, an option cannot be, a port is taken, or no router answered.
     """
     ours = {
         "mode": json.dumps(mode),

@@ -95,11 +95,9 @@ class FileOrderLog:
     """Kept in a file, of which one process at a time is the owner.
 
     Beside it, in the file of the lock, stands the mark of the newest word. A file that is removed,
-    replaced or emptied while the agent runs is made again at the next record, with a report.
-
-    Raises:
-        UsageError: It cannot be read or written, or another agent has it. So do its methods: what
-            they were to keep is not kept then.
+    replaced or emptied while the agent runs is made again at the next record, with a report. Raises
+    UsageError: it cannot be read or written, or another agent has it. So do its methods: what they
+    were to keep is not kept then.
     """
 
     def __init__(
@@ -364,9 +362,8 @@ class OrderCache:
     def heard(self, identity: str, digest: bytes) -> bool:
         """Whether it heard this order.
 
-        Raises:
-            MessageError: It heard another one of that id. A listener who may order anything could
-                else get the answer to its own order as that to somebody else's.
+        Raises MessageError: it heard another one of that id. A listener who may order anything
+        could else get the answer to its own order as that to somebody else's.
         """
         if not self.is_known(identity):
             return False

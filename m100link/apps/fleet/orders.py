@@ -87,9 +87,8 @@ class OrderService:
     async def carry_out(self, order: OrderMessage, asked: orders.Order) -> Done:
         """Do what is asked for.
 
-        Raises:
-            StaleLease: It needs the lease, and came without.
-            M100Error: As the agent tells.
+        Raises StaleLease: it needs the lease, and came without. Raises M100Error: as the agent
+        tells.
         """
         client = self._client
         match asked:
@@ -187,11 +186,9 @@ class OrderService:
     ) -> None:
         """Land, here or at home: the lease is taken over for that long.
 
-        An order that comes while the aircraft lands already waits for the same landing.
-
-        Raises:
-            LeaseHeld: Somebody has the lease, and it is not to be taken over.
-            M100Error: As the agent tells.
+        An order that comes while the aircraft lands already waits for the same landing. Raises
+        LeaseHeld: somebody has the lease, and it is not to be taken over. Raises M100Error: as the
+        agent tells.
         """
         is_held = self._underway or self._client.holder.number
         if self._client.view.is_on_ground and not is_held:

@@ -436,8 +436,7 @@ def pack(value: Value | Message) -> bytes:
 def body(payload: bytes, most: int = _MOST) -> bytes:
     """The bytes behind the version.
 
-    Raises:
-        MessageError: Nothing, more than ``most`` bytes, or what another version wrote.
+    Raises MessageError: nothing, more than ``most`` bytes, or what another version wrote.
     """
     if not payload or len(payload) > most:
         raise MessageError(f"{len(payload)} bytes are no payload of a fleet")
@@ -508,10 +507,7 @@ class Half:
         """Return the secret of the lease that an order asks for, 64 hexadecimal digits.
 
         ``theirs``: the public half of the other side, 32 bytes. ``agents``: the public half of the
-        agent, 32 bytes.
-
-        Raises:
-            MessageError: ``theirs`` is no half of a secret.
+        agent, 32 bytes. Raises MessageError: ``theirs`` is no half of a secret.
         """
         try:
             shared = self._key.exchange(X25519PublicKey.from_public_bytes(theirs))

@@ -132,11 +132,7 @@ class _Craft:
 
 
 class Bridge:
-    """The bridge.
-
-    Raises:
-        UsageError: A system id cannot be one of an aircraft.
-    """
+    """The bridge. Raises UsageError: a system id cannot be one of an aircraft."""
 
     def __init__(
         self,
@@ -320,11 +316,7 @@ _LONGEST = 65536
 
 
 def read_address(url: str) -> Address:
-    """Host and port of ``udp://host:port``.
-
-    Raises:
-        UsageError: It is not one.
-    """
+    """Host and port of ``udp://host:port``. Raises UsageError: it is not one."""
     try:
         parts = urlsplit(url)
         host, port = parts.hostname, parts.port
@@ -350,8 +342,7 @@ def is_loopback(address: Address) -> bool:
 def bind(address: Address) -> socket.socket:
     """A socket for datagrams.
 
-    Raises:
-        PortBusy, PortFailed: Another program has the port, or the address cannot be bound.
+    Raises PortBusy, PortFailed: another program has the port, or the address cannot be bound.
     """
     one = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     one.setblocking(False)

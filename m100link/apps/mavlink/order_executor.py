@@ -181,10 +181,8 @@ class OrderExecutor:
         """End what the aircraft flies by itself: its task, or its mission.
 
         Giving authority back is the only end of a task. A mission of any program gets a stop.
-
-        Raises:
-            AckTimeout, MissionRefused: It may be flying on.
-            LinkError, NoAuthority: See each class.
+        Raises AckTimeout, MissionRefused: it may be flying on. Raises LinkError, NoAuthority: see
+        each class.
         """
         if is_interrupting:
             self._asked_at = await self._agent.end_task(self._asked_at)
@@ -288,8 +286,7 @@ class MissionFlights:
     def mission_request(self, peer: Peer, first: int | None) -> ModeRequest | None:
         """The request that flies the mission on, from ``first`` if given; None without a mission.
 
-        Raises:
-            UsageError: It cannot be flown any more.
+        Raises UsageError: it cannot be flown any more.
         """
         missions = self._missions
         try:

@@ -266,8 +266,7 @@ class FlightGoal(ABC):
     async def run(self) -> None:
         """Fly it; done when it is there.
 
-        Raises:
-            M100Error: It was refused, or ended before its end.
+        Raises M100Error: it was refused, or ended before its end.
         """
 
     @abstractmethod

@@ -131,11 +131,7 @@ class Frames:
         self._ground, self._body = set(ground), {"", *body}
 
     def is_body(self, name: str, kind: str) -> bool:
-        """Whether a frame turns with the aircraft.
-
-        Raises:
-            UsageError: Nobody knows the frame.
-        """
+        """Whether a frame turns with the aircraft. Raises UsageError: nobody knows the frame."""
         if name in self._body:
             return True
         if name in self._ground:
@@ -147,8 +143,7 @@ class Frames:
 def speed(twist: Mapping[str, Any], *, is_body: bool) -> Setpoint:
     """A geometry_msgs/Twist as a setpoint: m/s, and rad/s about the axis that points up.
 
-    Raises:
-        BadSetpoint: A number that the aircraft does not take.
+    Raises BadSetpoint: a number that the aircraft does not take.
     """
     linear, angular = twist["linear"], twist["angular"]
     turn = -math.degrees(angular["z"])
@@ -168,10 +163,7 @@ def toward(
 
     ``pose``: east, north, up of the origin, m, and the heading; no rotation keeps the present one.
     ``here``: east, north, up of the aircraft, m. ``fastest``: horizontal speed that the guards
-    allow, m/s.
-
-    Raises:
-        BadSetpoint: A number that is not finite, or an orientation that is none.
+    allow, m/s. Raises BadSetpoint: a number that is not finite, or an orientation that is none.
     """
     place, turned = pose["position"], pose["orientation"]
     east, north, up = (_GAIN * (place[axis] - at) for axis, at in zip("xyz", here, strict=True))
@@ -231,10 +223,8 @@ class RosControl:
     async def fly(self, task: orders.Order) -> None:
         """Let the autopilot take off, land or go home; returns when it has begun.
 
-        After a landing control is given back. Later failures are in the events.
-
-        Raises:
-            M100Error: As :meth:`m100link.apps.agent.client.AgentClient.ask`.
+        After a landing control is given back. Later failures are in the events. Raises M100Error:
+        as :meth:`m100link.apps.agent.client.AgentClient.ask`.
         """
         lease = self.session.held()
         if isinstance(task, orders.TakeOff):
@@ -260,19 +250,14 @@ class RosControl:
             await self.release()
 
     def require_free(self, what: str) -> None:
-        """Nothing else flies for a program.
-
-        Raises:
-            UsageError: Something does.
-        """
+        """Nothing else flies for a program. Raises UsageError: something does."""
         if self.goal:
             raise UsageError(f"{what}: {self.goal} flies", remedy="cancel that goal first")
 
     async def do(self, order: orders.Order) -> None:
         """Something that needs the lease and is done when it is answered.
 
-        Raises:
-            M100Error: As :meth:`m100link.apps.agent.client.AgentClient.ask`.
+        Raises M100Error: as :meth:`m100link.apps.agent.client.AgentClient.ask`.
         """
         self.session.held()
         await self.session.ask(order)

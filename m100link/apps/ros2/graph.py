@@ -132,11 +132,7 @@ def write_attachment(sequence: int, at_ns: int, gid: bytes) -> bytes:
 
 
 def read_attachment(data: bytes) -> Attachment:
-    """The attachment of somebody else.
-
-    Raises:
-        ValueError: It is not one.
-    """
+    """The attachment of somebody else. Raises ValueError: it is not one."""
     try:
         sequence, at_ns, size = _HEAD.unpack_from(data)
     except error:
@@ -162,8 +158,7 @@ class Names:
     def of(cls, namespace: str, node: str, remaps: tuple[str, ...] = ()) -> Names:
         """From what was asked for; rules ``from:=to`` have private (``~/imu``) or other names.
 
-        Raises:
-            UsageError: A name or a rule cannot be.
+        Raises UsageError: a name or a rule cannot be.
         """
         words = [one for one in namespace.split("/") if one]
         for word in (*words, node):
@@ -184,8 +179,7 @@ class Names:
     def full(self, name: str) -> str:
         """A private, relative or full name with all of its namespaces, and remapped.
 
-        Raises:
-            UsageError: It cannot be a name.
+        Raises UsageError: it cannot be a name.
         """
         base = self.namespace.rstrip("/")
         if name.startswith("~/"):

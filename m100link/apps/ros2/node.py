@@ -301,10 +301,8 @@ def open_ros2(
 ) -> AbstractAsyncContextManager[ZenohBus]:
     """A session while the block runs, configured as rmw_zenoh's are.
 
-    Without a router it waits for one; who listens is found when that is there.
-
-    Raises:
-        UsageError: The package is missing, or the configuration cannot be.
+    Without a router it waits for one; who listens is found when that is there. Raises UsageError:
+    the package is missing, or the configuration cannot be.
     """
     path = environment.get(_CONFIG)
     options = ({} if path else _SESSION) | _overrides(environment.get(_OVERRIDE, ""))

@@ -66,9 +66,8 @@ class MissionServices:
 def plan_of(request: Mapping[str, Any]) -> WaypointPlan:
     """The plan of m100_msgs/srv/UploadMission.
 
-    Raises:
-        UsageError: A number that stands for nothing.
-        BadPlan: It cannot be flown: point, value, limit.
+    Raises UsageError: a number that stands for nothing. Raises BadPlan: it cannot be flown: point,
+    value, limit.
     """
     return WaypointPlan(
         [_point(one) for one in request["points"]],

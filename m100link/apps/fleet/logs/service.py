@@ -70,11 +70,7 @@ class OwnThreads:
 
 
 class LogService:
-    """One aircraft's end.
-
-    Raises:
-        UsageError: Nothing could ever leave at that rate.
-    """
+    """One aircraft's end. Raises UsageError: nothing could ever leave at that rate."""
 
     def __init__(
         self,

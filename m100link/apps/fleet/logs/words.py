@@ -110,11 +110,7 @@ _BLOCK = 1 << 20
 
 
 class LogPart:
-    """The part of one log.
-
-    Raises:
-        UsageError: The folder cannot be made.
-    """
+    """The part of one log. Raises UsageError: the folder cannot be made."""
 
     def __init__(self, folder: Path, name: str) -> None:
         self.whole = read_path(folder) / name  # the file that it becomes
@@ -129,8 +125,7 @@ class LogPart:
     def open(self, size: int) -> None:
         """Go on with the bytes that are there of a log of that size.
 
-        Raises:
-            UsageError: It cannot be written, or another program has it.
+        Raises UsageError: it cannot be written, or another program has it.
         """
         with self._lock, _telling(self.path):
             file = self._locked()
@@ -154,11 +149,7 @@ class LogPart:
         return file
 
     def add(self, data: bytes) -> None:
-        """The next bytes have come.
-
-        Raises:
-            UsageError: The disk does not take them.
-        """
+        """The next bytes have come. Raises UsageError: the disk does not take them."""
         with self._lock, _telling(self.path):
             self._write(data)
 

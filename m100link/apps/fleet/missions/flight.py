@@ -31,9 +31,8 @@ OrderUnderLease = Callable[[orders.Order], Awaitable[OrderReply]]
 async def mission_card(asker: Asker, *, patience: float = PATIENCE_S) -> MissionCard:
     """Where the mission of an aircraft is.
 
-    Raises:
-        OutcomeUnknown: It gives no answer for so many seconds.
-        MessageError: Its answer cannot be read.
+    Raises OutcomeUnknown: it gives no answer for so many seconds. Raises MessageError: its answer
+    cannot be read.
     """
     clock, keys = asyncio.get_running_loop().time, asker.keys
     until, unread = clock() + patience, None
@@ -168,9 +167,8 @@ class FleetMission:
     async def __anext__(self) -> events.MissionEvent:
         """The next event.
 
-        Raises:
-            MissionAborted, NotObserved: The reason of its early end.
-            OutcomeUnknown: Its state is unknown, or its agent restarted.
+        Raises MissionAborted, NotObserved: the reason of its early end. Raises OutcomeUnknown: its
+        state is unknown, or its agent restarted.
         """
         while not self._events:
             if self._end is not None:

@@ -156,12 +156,9 @@ class TrackExecutor:
         """Take a track.
 
         Returns its digest, for the sender to compare. ``leave``: what follows the track, or its
-        early end. ``neighbours``: the others of the show; None: they are not looked at. ``run``:
-        of the conductor; until it is over, orders of others are refused.
-
-        Raises:
-            BadShow: It is none, or another aircraft's.
-            UsageError: It is in a show.
+        early end. ``neighbours``: the others of the show; None: they are not looked at. ``run``: of
+        the conductor; until it is over, orders of others are refused. Raises BadShow: it is none,
+        or another aircraft's. Raises UsageError: it is in a show.
         """
         self._require(LoadTrack, "load")
         track = TimedTrack.from_bytes(data)
@@ -188,11 +185,8 @@ class TrackExecutor:
         """Begin the track at a time.
 
         ``start_at``: by the agent's clock, s. ``bound``: by how much the sender may be wrong about
-        that clock, s.
-
-        Raises:
-            ShowRefused: The clock, the time or the place is wrong.
-            UsageError: It is not ready, or loaded with another track.
+        that clock, s. Raises ShowRefused: the clock, the time or the place is wrong. Raises
+        UsageError: it is not ready, or loaded with another track.
         """
         self._require(StartShow, "start")
         track = self._loaded()

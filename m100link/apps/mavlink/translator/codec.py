@@ -509,11 +509,7 @@ class SignatureMemory:
         return {one: when for one, when in self._signer.newest.items() if when > since}
 
     def write(self, snapshot: Snapshot) -> None:
-        """Write it; takes as long as the disk takes.
-
-        Raises:
-            OSError: It cannot be written.
-        """
+        """Write it; takes as long as the disk takes. Raises OSError: it cannot be written."""
         self.path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         newest, sent = dict(snapshot.newest), snapshot.sent
         with contextlib.suppress(OSError, ValueError):
@@ -543,8 +539,7 @@ def _checksum(sent: object, newest: dict[str, Any]) -> int:
 def _read(path: Path) -> Snapshot:
     """The snapshot in a file.
 
-    Raises:
-        OSError, ValueError: It cannot be read, or is not one of these.
+    Raises OSError, ValueError: it cannot be read, or is not one of these.
     """
     with path.open("rb") as file:
         data = file.read(_LONGEST + 1)

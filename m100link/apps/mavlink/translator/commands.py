@@ -261,8 +261,7 @@ class CommandProtocol:
     def _fly_mission(self, request: ModeRequest, now: float) -> MavResult:
         """Check each place of it first, and each way from one to the next.
 
-        Raises:
-            GuardRefused, UsageError: See :meth:`_check`.
+        Raises GuardRefused, UsageError: see :meth:`_check`.
         """
         if isinstance(request.order, FlightSequence):
             before = None
@@ -341,10 +340,8 @@ class CommandProtocol:
     def _check(self, order: GuidedOrder, begin: _Place | None = None) -> _Place | None:
         """Refuse now what the agent would refuse in flight; give the place where the order ends.
 
-        ``begin``: where the order before it ends, None for where the aircraft is.
-
-        Raises:
-            GuardRefused, UsageError: Outside of the envelope or the fence, or not a flight at all.
+        ``begin``: where the order before it ends, None for where the aircraft is. Raises
+        GuardRefused, UsageError: outside of the envelope or the fence, or not a flight at all.
         """
         end = begin
         if isinstance(order, orders.FlyTo | orders.FlyAround):

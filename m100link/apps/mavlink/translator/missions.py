@@ -75,8 +75,7 @@ class MissionProtocol:
     def route(self) -> Route | None:
         """The mission as it is flown; None without one.
 
-        Raises:
-            Refused: It cannot be flown any more: the ground is another one.
+        Raises Refused: it cannot be flown any more: the ground is another one.
         """
         if not self.items:
             return None
@@ -436,8 +435,7 @@ class Fence:
 def read_fence(items: Sequence[MavlinkMessage]) -> Fence:
     """The fence of these items.
 
-    Raises:
-        Refused: It has what is not an area: a fence that is kept in part would be believed in.
+    Raises Refused: it has what is not an area: a fence that is kept in part would be believed in.
     """
     areas: list[_Area] = []
     waiting: list[tuple[float, float]] = []

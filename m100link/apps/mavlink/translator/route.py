@@ -180,10 +180,8 @@ def read_route(items: Sequence[MavlinkMessage], *, ground: float | None, speed: 
     """The mission as it is flown.
 
     ``ground``: altitude of the take-off point above sea level, m; None while nobody knows.
-    ``speed``: until an item says another one, m/s.
-
-    Raises:
-        Refused: It cannot be flown; with the item and the reason.
+    ``speed``: until an item says another one, m/s. Raises Refused: it cannot be flown; with the
+    item and the reason.
     """
     route = Route(ground, speed)
     for number, item in enumerate(items):
@@ -216,10 +214,7 @@ def flies_missions(firmware: str) -> bool:
 def plan_of(legs: Sequence[RoutePoint], then: Mode, *, yaw_deg: float | None) -> WaypointPlan:
     """The plan that flies these legs.
 
-    ``yaw_deg``: heading at its start; None while nobody knows.
-
-    Raises:
-        Unfit: There is none.
+    ``yaw_deg``: heading at its start; None while nobody knows. Raises Unfit: there is none.
     """
     if not legs:
         raise Unfit("no place is left to fly to")

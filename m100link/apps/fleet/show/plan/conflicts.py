@@ -131,10 +131,7 @@ class Neighbours:
     """The other aircraft of a show, as one of them hears them.
 
     ``least_m``: how near two may come to each other, m. ``count``: how many others there are; 0
-    where it did not report that.
-
-    Raises:
-        BadShow: That is no distance.
+    where it did not report that. Raises BadShow: that is no distance.
     """
 
     def __init__(self, show: str, name: str, least_m: float, count: int = 0) -> None:

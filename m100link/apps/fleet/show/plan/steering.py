@@ -121,11 +121,8 @@ class TrackSteering:
         """Whether it may begin.
 
         ``early``: seconds from now to the beginning. ``bound``: by how much the clock may be wrong,
-        s.
-
-        Raises:
-            ShowRefused: The clock may be wrong by more than 50 ms, the time is over or more than
-                two minutes away, or it is not at its first point.
+        s. Raises ShowRefused: the clock may be wrong by more than 50 ms, the time is over or more
+        than two minutes away, or it is not at its first point.
         """
         name, tube = self._track.name, self._track.tube_m
         if not 0 <= bound <= SKEW_S:  # NaN is none
@@ -171,10 +168,8 @@ class TrackSteering:
         """The velocity to fly now, north, east and up, m/s; None when the track is flown.
 
         ``at``: seconds from the beginning of the show; negative before it. ``bound``: by how much
-        that may be wrong, s.
-
-        Raises:
-            LeftShow: It left its tube, or the time may be wrong by too much.
+        that may be wrong, s. Raises LeftShow: it left its tube, or the time may be wrong by too
+        much.
         """
         self._require_clock(at, bound)  # where it should be means nothing before
         wanted = self._track.moment(at).place
