@@ -337,12 +337,8 @@ class OrderRefused(
 ):
     """An agent refuses a signed order."""
 
-    def __init__(
-        self, seen: str, *, reason: Reason, signer: str, cause: str = "", remedy: str = ""
-    ) -> None:
-        super().__init__(seen, cause=cause, remedy=remedy)
-        self.reason = reason
-        self.signer = signer  # who says to have signed it
+    reason: Reason = Reason.NOT_ALLOWED  #: why
+    signer: str = ""  #: who says to have signed it
 
 
 class Signer:

@@ -49,20 +49,9 @@ class ShowRefused(
 ):
     """An aircraft does not begin its track."""
 
-    def __init__(
-        self,
-        seen: str,
-        *,
-        why: Why,
-        measured: float,
-        limit: float,
-        cause: str = "",
-        remedy: str = "",
-    ) -> None:
-        super().__init__(seen, cause=cause, remedy=remedy)
-        self.why = why  #: the reason
-        self.measured = measured  #: the measured value
-        self.limit = limit  #: its limit
+    why: Why = Why.PLACE  #: the reason
+    measured: float = math.nan  #: the measured value
+    limit: float = math.nan  #: its limit
 
 
 class LeftShow(
@@ -71,14 +60,12 @@ class LeftShow(
     cause="wind, a weak battery, or a link that stood still",
     remedy="it hovers or lands where it is, as --leave says; the others fly on",
 ):
-    def __init__(
-        self, seen: str, *, why: Why, at: float, measured: float, limit: float, cause: str = ""
-    ) -> None:
-        super().__init__(seen, cause=cause)
-        self.why = why  #: the reason
-        self.at = at  #: seconds from the beginning of the show
-        self.measured = measured  #: the measured value, in m, s or aircraft
-        self.limit = limit  #: its limit
+    """An aircraft leaves a show."""
+
+    why: Why = Why.TUBE  #: the reason
+    at: float = math.nan  #: seconds from the beginning of the show
+    measured: float = math.nan  #: the measured value, in m, s or aircraft
+    limit: float = math.nan  #: its limit
 
 
 class TrackSteering:
