@@ -161,8 +161,6 @@ class VehicleView:
             return Integrity(IntegrityState.UNKNOWN)
         return self.telemetry.integrity
 
-    # -- conclusions -----------------------------------------------------------------------------
-
     @property
     def phase(self) -> FlightPhase | None:
         """On the ground or in the air; None when nobody knows."""
@@ -433,8 +431,6 @@ class AgentClient:
             except (ValueError, BadPlan):
                 self.unread += 1
 
-    # -- what goes out ---------------------------------------------------------------------------
-
     async def ask(
         self,
         order: orders.Order,
@@ -460,8 +456,6 @@ class AgentClient:
     def asked_at(self) -> float:
         """When what is asked now was wanted, s: now, or at the press that this task carries out."""
         return min(self._clock(), PRESSED_AT.get())
-
-    # -- telemetry -------------------------------------------------------------------------------
 
     def samples(self, policy: Policy) -> Subscription[Sample]:
         """Subscribe to the telemetry of this and every later aircraft."""
@@ -609,8 +603,6 @@ class PendingRequests:
         for answer, _ in waiting:
             if not answer.done():
                 answer.set_exception(messages.agent_lost(reason))
-
-    # -- what comes in ---------------------------------------------------------------------------
 
     def outcome(self, outcome: messages.OrderOutcome) -> None:
         """The end of a question. It stays the end, and a question begins once."""

@@ -82,8 +82,6 @@ class ClockEstimate:
         self._trips: deque[float] = deque(maxlen=_TRIPS)
         self._answered_at = self._heard_at = -math.inf
 
-    # -- arrivals --------------------------------------------------------------------------------
-
     def late(self, sent_at: float, now: float, asked_at: float | None = None) -> float:
         """Take a message, sent at that time of the other clock, s; returns how old it is at least.
 
@@ -128,8 +126,6 @@ class ClockEstimate:
         if there is not None:
             self._there.take(there, now)
         return self._here.take(here, now)
-
-    # -- estimates -------------------------------------------------------------------------------
 
     def oldest(self, sent_at: float, now: float) -> float:
         """The greatest age, s, of a message made at that time of the other clock.

@@ -240,8 +240,6 @@ class UnixChannel(Receiver, asyncio.BufferedProtocol):
             if self._on_closed is not None:
                 self._on_closed(self._reason)
 
-    # -- our side --------------------------------------------------------------------------------
-
     def open(self, on_message: Callable[[Message], None], on_closed: Callable[[str], None]) -> None:
         self._on_message, self._on_closed = on_message, on_closed
         if self._transport is not None:

@@ -136,8 +136,6 @@ class ZenohBus:
         """The bytes; none of a message that is too long, and nobody can read an empty one."""
         return b"" if data is None or len(data) > self._largest else data.to_bytes()
 
-    # -- senders ---------------------------------------------------------------------------------
-
     def publish(self, key: str, *, kept: int = 0, within: float = 0.0) -> network.Outlet:
         """Offer messages under a key; UsageError where they are kept, and this session cannot."""
         drop = self._zenoh.CongestionControl.DROP
@@ -168,8 +166,6 @@ class ZenohBus:
 
     def declare(self, token: str) -> network.Held:
         return _Declared(self._session.liveliness().declare_token(token))
-
-    # -- receivers -------------------------------------------------------------------------------
 
     def _received(self, sample: zenoh.Sample) -> network.Received:
         return network.Received(self._bytes(sample.payload), self._bytes(sample.attachment))
@@ -235,8 +231,6 @@ class ZenohBus:
         return _Declared(
             self._session.liveliness().declare_subscriber(pattern, heard, history=True)
         )
-
-    # -- taken in steps --------------------------------------------------------------------------
 
     def inbox(self, pattern: str, depth: int) -> network.Inbox[network.Received]:
         ring: Any = self._zenoh.handlers.RingChannel(depth)

@@ -400,8 +400,6 @@ class FleetAgent:
         reply = payloads.pack(self._reply_to(identity, is_repeated=True))
         question.answer(self._keys.status(identity), reply)
 
-    # -- setpoints -------------------------------------------------------------------------------
-
     def _on_setpoint(self, key: str, payload: bytes) -> None:
         if len(payload) > _READ_AT_ONCE_BYTES:
             self.dropped[Dropped.DAMAGED] += 1

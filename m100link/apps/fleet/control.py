@@ -137,8 +137,6 @@ class FleetControl:
         if self._lost is None:
             await self._channel.let_go(LEASE_LIFETIME)
 
-    # -- the lease -------------------------------------------------------------------------------
-
     def _lease_changed(self, change: LeaseChanged) -> None:
         if change.number == 0 and self._lost is None and self._owner is not None:
             self._lost = self._channel.lost or self._silent()
@@ -213,8 +211,6 @@ class FleetControl:
             M100Error: As :meth:`m100link.Control.fly_to`, and :class:`FleetError`.
         """
         await self.ask(orders.FlyTo(latitude_deg, longitude_deg, height, speed, yaw_deg))
-
-    # -- missions --------------------------------------------------------------------------------
 
     @property
     def missions(self) -> MissionOrders:

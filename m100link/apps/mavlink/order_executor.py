@@ -151,8 +151,6 @@ class OrderExecutor:
             else:
                 self._manager.ended(order, error, self._agent.now)
 
-    # -- control authority -----------------------------------------------------------------------
-
     async def _arm(self, order: ObtainControl, _: object) -> None:
         self._session.name = order.name
         await self._session.obtain(asked_at=self._armed_at)

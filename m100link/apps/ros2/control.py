@@ -206,8 +206,6 @@ class RosControl:
         self.mux = SetpointMux()  # whose setpoints fly
         self.goal = ""  # what flies by itself for a program; empty for nothing
 
-    # -- control ---------------------------------------------------------------------------------
-
     async def obtain(self) -> None:
         """Take the lease and obtain control authority. Raises as :meth:`ControlSession.obtain`."""
         await self.session.obtain()
@@ -217,8 +215,6 @@ class RosControl:
         """Give control back: motion ends, the pilot flies."""
         self.mux.end()
         self.session.let_go()
-
-    # -- orders ----------------------------------------------------------------------------------
 
     async def fly(self, task: orders.Order) -> None:
         """Let the autopilot take off, land or go home; returns when it has begun.
@@ -262,8 +258,6 @@ class RosControl:
         self.session.held()
         await self.session.ask(order)
 
-    # -- setpoints -------------------------------------------------------------------------------
-
     def refusal(self) -> str:
         """Why no setpoint can be flown now, empty where one can."""
         state = self._agent.state
@@ -276,8 +270,6 @@ class RosControl:
         if state.task or (state.mission and state.mission != "no mission"):
             return f"{state.task or state.mission} flies"
         return "" if self._agent.view.is_airborne else "on the ground: call ~/takeoff first"
-
-    # -- time passes -----------------------------------------------------------------------------
 
     def advance(self) -> None:
         """Keep the lease; give it back when nobody has use for it."""

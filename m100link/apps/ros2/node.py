@@ -170,8 +170,6 @@ class Node:
             self._reported[text] = now + _TELL_S
             self._agent.note(text, level)
 
-    # -- services --------------------------------------------------------------------------------
-
     def _calls(self) -> dict[str, Call]:
         control = self.control
         return {

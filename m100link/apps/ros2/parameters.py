@@ -80,8 +80,6 @@ class Parameters:
         text = f"most messages per second of {topic}, 0 to {MOST_HZ:g}; 0 for all"
         self._rows[f"rates.{word}"] = Parameter(_DOUBLE, text, lambda: teller.hz[topic], take)
 
-    # -- services --------------------------------------------------------------------------------
-
     def _list(self, asked: dict[str, Any]) -> Mapping[str, Any]:
         prefixes = asked["prefixes"]
         names = [

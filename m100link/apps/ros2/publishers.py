@@ -134,8 +134,6 @@ class MessageMaker:
         agent.on_event.append(self._event)
         agent.on_mission_report.append(self._mission)
 
-    # -- times -----------------------------------------------------------------------------------
-
     def time_now(self) -> dict[str, int]:
         return _time(self._stamps.at(self._agent.now))
 

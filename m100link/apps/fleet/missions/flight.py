@@ -213,8 +213,6 @@ class FleetMission:
             values = (card.elapsed_s, card.index, card.status, card.distance_m, card.height_m)
             self._events.append(events.MissionProgress(*values))
 
-    # -- orders ----------------------------------------------------------------------------------
-
     async def pause(self) -> None:
         """Pause it; the aircraft hovers.
 

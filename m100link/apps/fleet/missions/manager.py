@@ -129,8 +129,6 @@ class MissionManager:
         """A pause or its end was carried out."""
         self._is_paused = is_paused and self.stage is MissionStage.FLYING
 
-    # -- what happens ----------------------------------------------------------------------------
-
     def _on_report(self, report: MissionReport) -> None:
         if report.event == _REACHED and report.data[1:2] == bytes([_ARRIVED]):
             self._reached += report.data[:1]
@@ -141,8 +139,6 @@ class MissionManager:
     def _lease_changed(self, change: LeaseChanged) -> None:
         self.stage = after(self.stage, MissionInput.LEASE_ENDED)
         self.void()  # the next holder starts nothing of it
-
-    # -- reports ---------------------------------------------------------------------------------
 
     @property
     def words(self) -> str:

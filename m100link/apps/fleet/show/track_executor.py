@@ -100,8 +100,6 @@ class TrackExecutor:
         self._client.on_event.remove(self._hear)
         self._client.on_authority_taken.remove(self.give_way)
 
-    # -- who else wants the aircraft -------------------------------------------------------------
-
     def _hear(self, event: Event) -> None:
         if event.topic in (EventTopic.STOPPED, EventTopic.HALTED):
             # An order to take off may be on its way here, of somebody who has not seen it.
@@ -376,8 +374,6 @@ class TrackExecutor:
             except M100Error as error:
                 self._client.note(f"show: {error.seen}", "error")
         control.let_go()
-
-    # -- where it is -----------------------------------------------------------------------------
 
     def _here(self, track: TimedTrack) -> Vector:
         found = self._client.view.to_steer_by(Position)

@@ -215,8 +215,6 @@ class VehicleState:
         self.may_take_off = False
         self.home: Home | None = None  # where it stood last; None while nobody knows
 
-    # -- telemetry -------------------------------------------------------------------------------
-
     @property
     def height(self) -> float | None:
         """Metres above the take-off point; 0 where it stands."""
@@ -260,8 +258,6 @@ class VehicleState:
                 return  # the origin of the local frame does not follow the noise of GPS
         frame = LocalFrame(position.latitude_deg, position.longitude_deg)
         self.home = Home(frame, position.altitude_m)
-
-    # -- the flight ------------------------------------------------------------------------------
 
     @property
     def is_armed(self) -> bool:

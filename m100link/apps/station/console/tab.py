@@ -304,8 +304,6 @@ class Tab:
             is_weaker = state is ControlState.OBTAINING and self._has_to_let_go
             self._has_to_let_go = self._has_to_let_go if is_weaker else why
 
-    # -- the end ---------------------------------------------------------------------------------
-
     def lost(self) -> None:
         """The socket is gone: stop, and let others have control."""
         self.way = ClockEstimate(PAGE_GRAIN)  # the next one may take another way

@@ -157,8 +157,6 @@ class Metered(asyncio.BufferedProtocol, asyncio.Transport):
         """Whether it holds control of an aircraft."""
         return self._connection.steers
 
-    # -- the transport's side --------------------------------------------------------------------
-
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """A client has come."""
         self._outer = cast(asyncio.Transport, transport)
@@ -193,8 +191,6 @@ class Metered(asyncio.BufferedProtocol, asyncio.Transport):
     def resume_writing(self) -> None:
         """The client reads again."""
         self._inner.resume_writing()
-
-    # -- the intake's side -----------------------------------------------------------------------
 
     def _ask_for_turn(self) -> None:
         if self._is_queued or self._is_held or self._is_over or self._begin == self._end:

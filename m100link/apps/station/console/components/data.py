@@ -193,8 +193,6 @@ class PlotsPart:
         self._chart.update()
         self._is_whole_wanted = True
 
-    # -- what is chosen --------------------------------------------------------------------------
-
     def _choose(self, event: events.ValueChangeEventArguments[Any]) -> None:
         names = known(event.value or ())
         if names != list(event.value or ()):
@@ -220,8 +218,6 @@ class PlotsPart:
     def _download(self) -> None:
         text = self._page.history.csv(self._names, last_s=self._seconds, until=self._until)
         ui.download.content(text, "m100link.csv", "text/csv")
-
-    # -- what is new -----------------------------------------------------------------------------
 
     def update(self, view: ViewModel) -> None:
         """Send the points that the page does not have."""

@@ -53,8 +53,6 @@ class Draft:
         """
         return WaypointPlan(self.points, **{name: getattr(self, name) for name in _OF_A_PLAN})
 
-    # -- changes ---------------------------------------------------------------------------------
-
     def added(self, place: Place, height: float, after: int | None = None) -> Draft:
         """With a point more: at the end, or after another one."""
         at = len(self.points) if after is None else after + 1
