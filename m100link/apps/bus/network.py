@@ -235,7 +235,6 @@ class Ring(Inbox[T]):
         self._ended = ended
 
     def take(self) -> list[T]:
-        """The items in it, oldest first."""
         found: list[T] = []
         try:
             # A flood fills it as fast as it is emptied: later messages wait.
@@ -291,11 +290,9 @@ class BatchingPublisher(Outlet):
         self._bundle.put(partial(self._outlet.put, payload, attachment), self._within)
 
     def put_later(self, make: Callable[[], bytes]) -> None:
-        """Let one wait, be made, and go."""
         self._bundle.put(partial(self._outlet.put_later, make), self._within)
 
     def is_wanted(self) -> bool:
-        """Whether anybody is known to listen."""
         return self._outlet.is_wanted()
 
     def close(self) -> None:

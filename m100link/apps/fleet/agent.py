@@ -307,7 +307,6 @@ class FleetAgent:
         question.answer(key, payloads.pack(self._reply_to(order.id, is_repeated=is_repeated)))
 
     def _begin(self, order: payloads.OrderMessage) -> None:
-        """Hear an order for the first time."""
         if not _ID.fullmatch(order.id):
             raise MessageError("the id of an order is 32 hexadecimal digits")
         asked, now = admit(order, self._keys, orders.Order, self._verify), self.client.now
@@ -325,7 +324,6 @@ class FleetAgent:
         self._running[order.id] = self.client.background.spawn(work, "order of the fleet")
 
     def _require_now(self, order: payloads.OrderMessage, asked: orders.Order, now: float) -> None:
-        """Refuse an order that may not begin now."""
         if asked.moves:
             self.duplicates.require_none(now)
         if self._may_have_begun(order, asked):  # whatever it comes under now

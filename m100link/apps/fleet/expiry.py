@@ -94,8 +94,6 @@ BROKEN_S = 1.0
 
 
 class Dropped(Enum):
-    """Why a setpoint is not flown."""
-
     DAMAGED = "damaged"
     STALE = "stale"  # of a lease that is not in force, or without its proof
     LATE = "late"  # too long on its way, or from the future

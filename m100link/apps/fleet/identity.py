@@ -272,7 +272,6 @@ class Revoked:
 
 
 def sign_revoked(number: int, names: Mapping[str, str], key: ec.EllipticCurvePrivateKey) -> bytes:
-    """The bytes of a list."""
     content = {"m100link": _KIND, "number": number, "names": dict(names)}
     line = json.dumps(content).encode() + b"\n"
     data = line + base64.b64encode(key.sign(line, ec.ECDSA(SHA256()))) + b"\n"

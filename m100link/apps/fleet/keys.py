@@ -97,7 +97,6 @@ class Keys:
             check_name(self.name)
 
     def of(self, what: str) -> str:
-        """The key of one thing of it."""
         return f"m100/{self.site}/{self.name}/{what}"
 
     @property

@@ -34,8 +34,6 @@ class Done:
 
 @dataclass(slots=True)
 class Granted:
-    """A lease that was granted to the fleet."""
-
     lease: Lease  # as the agent knows it; its token never leaves the aircraft
     secret: str = field(repr=False)  # what orders and setpoints under it are proved with
     signer: str  # who signed for it, who may be revoked meanwhile; empty when nobody did

@@ -132,7 +132,6 @@ class Endpoints:
 
     @property
     def junk(self) -> int:
-        """Payloads that could not be read."""
         return self.refused + sum(one.refused for one in self.inputs.values())
 
     def look(self) -> None:

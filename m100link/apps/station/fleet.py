@@ -61,8 +61,6 @@ def recorded_apart(settings: Settings, name: str) -> Settings:
 
 @dataclass(frozen=True)
 class FleetSettings:
-    """How agents are part of a fleet."""
-
     connect: tuple[str, ...] = ()  # endpoints of routers
     site: str = DEFAULT_SITE
     lost: LostLinkPlan = field(

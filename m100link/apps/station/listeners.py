@@ -118,7 +118,6 @@ class Sockets:
         return [one.getsockname()[1] for one in self.of.get(name, ())]
 
     def port(self, name: str) -> int:
-        """The first port of a front that is served."""
         return self.ports(name)[0]
 
     def datagram_urls(self, name: str) -> list[str]:

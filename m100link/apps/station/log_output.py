@@ -125,7 +125,6 @@ class LinesInThread(logging.Handler):
         self._teller, self._unread = teller, 0
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Have a line written, or count it."""
         try:
             line = self.format(record)
             if self._unread:

@@ -178,7 +178,6 @@ class RunningStation:
         return cast("RosbridgeServer", self.fronts.made["rosbridge"])
 
     def console_path(self) -> str:
-        """Path that opens the console in a browser, with a code that works once where needed."""
         return self.fronts.console_path()
 
 
@@ -236,7 +235,6 @@ class RunningTwoProcess:
         return self.agent.holding.has_authority
 
     def console_path(self) -> str:
-        """Path that opens the console in a browser, with a code that works once where needed."""
         return str(self.front.answer["console_path"])
 
 
@@ -342,7 +340,6 @@ class RunningMultiVehicle:
         return any(agent.has_authority for agent in self.agents.values())
 
     def console_path(self) -> str:
-        """Path that opens the console in a browser, with a code that works once where needed."""
         return str(self.front.answer["console_path"])
 
 

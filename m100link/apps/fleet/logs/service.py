@@ -61,7 +61,6 @@ class OwnThreads:
         self._threads = ThreadPoolExecutor(2, thread_name_prefix=name)
 
     async def do(self, work: Callable[[], T]) -> T:
-        """Have it done, and wait for its result."""
         return await asyncio.get_running_loop().run_in_executor(self._threads, work)
 
     def close(self) -> None:

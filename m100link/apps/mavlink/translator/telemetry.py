@@ -350,8 +350,6 @@ Audience = Mapping[Address, tuple[Peer, ...]]
 
 
 class Rates:
-    """How often each is sent to whom."""
-
     def __init__(self, world: VehicleState) -> None:
         self._world = world
         self._asked: dict[Peer, dict[str, float]] = {}
@@ -408,7 +406,6 @@ class Rates:
         }
 
     def message(self, name: str, now: float) -> MavlinkMessage | None:
-        """One of them as it is now."""
         fields = STREAMS[name].fields(self._world, now)
         return None if fields is None else MavlinkMessage(name, fields)
 
@@ -447,7 +444,6 @@ _SEVERITIES = {"info": Severity.INFO, "warning": Severity.WARNING, "error": Seve
 
 
 def severity_of(level: str) -> Severity:
-    """Of an event of the agent."""
     return _SEVERITIES.get(level, Severity.INFO)
 
 

@@ -41,8 +41,6 @@ class Mode(Enum):
 
 @dataclass(frozen=True, slots=True)
 class ModeRow:
-    """A mode's numbers."""
-
     main: int  # main mode of PX4
     sub: int  # its sub mode
     standard: int  # MAV_STANDARD_MODE; 0 for none
@@ -372,7 +370,6 @@ def current(mode: Mode) -> MavlinkMessage:
 
 
 def heartbeat(world: VehicleState, mode: Mode, autopilot: int) -> MavlinkMessage:
-    """HEARTBEAT."""
     row, is_armed = MODES[mode], world.is_armed
     battery = world.known.view.get(Battery)
     is_low = battery is not None and battery.percent < LOWEST_BATTERY and is_armed

@@ -69,8 +69,6 @@ _MAP_VIEWS = ("fly", "plan")
 
 
 class Page:
-    """One tab's page, which updates itself."""
-
     def __init__(
         self,
         agent: AgentClient,  # the agent that owns the aircraft

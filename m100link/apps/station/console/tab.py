@@ -391,13 +391,11 @@ class Press:
         self._why = Fate.REFUSED
 
     def passed(self, now: float) -> None:
-        """Note that a beat went on to the agent."""
         if now - self._passed_at > _REPORTED_FOR:
             self._since = now
         self._passed_at = now
 
     def refused(self, error: M100Error, now: float) -> None:
-        """Note that a beat was refused, here or by the agent."""
         guard = error.guard if isinstance(error, GuardRefused) else ""
         self._why, self._refused_at = _GUARDS.get(guard, Fate.REFUSED), now
         self._passed_at = -math.inf  # what comes after it is another press

@@ -154,16 +154,13 @@ class Metered(asyncio.BufferedProtocol, asyncio.Transport):
 
     @property
     def steers(self) -> bool:
-        """Whether it holds control of an aircraft."""
         return self._connection.steers
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """A client has come."""
         self._outer = cast(asyncio.Transport, transport)
         self._inner.connection_made(self)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """It has gone."""
         self._is_over = True
         self._inner.connection_lost(exc)
 
@@ -181,15 +178,12 @@ class Metered(asyncio.BufferedProtocol, asyncio.Transport):
         self._ask_for_turn()
 
     def eof_received(self) -> bool | None:
-        """The client sends no more."""
         return self._inner.eof_received()
 
     def pause_writing(self) -> None:
-        """The client does not read."""
         self._inner.pause_writing()
 
     def resume_writing(self) -> None:
-        """The client reads again."""
         self._inner.resume_writing()
 
     def _ask_for_turn(self) -> None:
@@ -207,7 +201,6 @@ class Metered(asyncio.BufferedProtocol, asyncio.Transport):
             self.abort()
 
     def step(self) -> None:
-        """Parse a piece."""
         self._is_queued = False
         if self._is_over or self._is_held:
             return
@@ -232,11 +225,9 @@ class Metered(asyncio.BufferedProtocol, asyncio.Transport):
     # -- the side of what speaks on it -----------------------------------------------------------
 
     def set_protocol(self, protocol: asyncio.BaseProtocol) -> None:
-        """Replace the protocol on the connection."""
         self._inner = cast(asyncio.Protocol, protocol)
 
     def get_protocol(self) -> asyncio.BaseProtocol:
-        """Return the protocol on the connection."""
         return self._inner
 
     def put_back(self, count: int) -> None:
@@ -244,11 +235,9 @@ class Metered(asyncio.BufferedProtocol, asyncio.Transport):
         self._begin -= count
 
     def pause_reading(self) -> None:
-        """Parse nothing more."""
         self._is_held = True
 
     def resume_reading(self) -> None:
-        """Parse again."""
         self._is_held = False
         self._ask_for_turn()
 
@@ -258,7 +247,6 @@ class Metered(asyncio.BufferedProtocol, asyncio.Transport):
         self._outer.close()
 
     def abort(self) -> None:
-        """Close it at once."""
         self._is_over = True
         self._outer.abort()
 
@@ -269,11 +257,9 @@ class Metered(asyncio.BufferedProtocol, asyncio.Transport):
         self._outer.write(data)
 
     def get_extra_info(self, name: str, default: Any = None) -> Any:
-        """Return a fact of the transport about the connection."""
         return self._outer.get_extra_info(name, default)
 
     def get_write_buffer_size(self) -> int:
-        """Return how many bytes were not sent yet."""
         return self._outer.get_write_buffer_size()
 
 
@@ -374,7 +360,6 @@ class _Newcomer:
         self._listener.intake.put(self)
 
     def turn_out(self) -> None:
-        """Close it at once."""
         self._leave()
         if self._task is not None:
             self._task.cancel()

@@ -142,7 +142,6 @@ class PageRateLimit:
         self._opens_at = 0.0
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Wait for a turn, if this needs one."""
         if scope["type"] != "http" or scope["path"] != self._path:
             await self._app(scope, receive, send)
         elif self._waiting >= PLACES:

@@ -231,7 +231,6 @@ def metrics_app(
 
 
 async def serve(fronts: Fronts) -> None:
-    """Serve the numbers of rosbridge, of the console and of the link."""
     bridge = fronts.made["rosbridge"]
     assert isinstance(bridge, RosbridgeServer)
     app = metrics_app(bridge, fronts.settings, fronts.dropped.get("console", dict))

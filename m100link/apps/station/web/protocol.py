@@ -119,12 +119,10 @@ class WebSocketConnection(WebSocketsSansIOProtocol):
 
     @property
     def events(self) -> int:
-        """Frames that came."""
         return self.conn.count
 
     @property
     def steers(self) -> bool:
-        """Whether it holds control of an aircraft."""
         return self.is_steering()
 
     def handle_ping(self) -> None:
@@ -143,7 +141,6 @@ class WebSocketConnection(WebSocketsSansIOProtocol):
             self.transport.pause_reading()
 
     async def send(self, message: ASGISendEvent) -> None:
-        """Take a message of the application."""
         await super().send(message)
         if message["type"] == "websocket.accept":
             self.transport.resume_reading()
@@ -227,7 +224,6 @@ class HttpConnection(H11Protocol):
 
     @property
     def events(self) -> int:
-        """The number of parsed events."""
         return self.conn.count
 
     @property
@@ -237,20 +233,17 @@ class HttpConnection(H11Protocol):
         return cycle is None or cycle.response_complete or cycle.more_body
 
     def turn_out(self) -> None:
-        """Close it at once."""
         self._end_patience()
         self.transport.abort()
 
     # uvicorn narrows the argument as well: what it is given is always a transport with both ways.
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """A client has come."""
         super().connection_made(transport)
         self.peer = self.client[0] if self.client else ""
         self._begin_patience()
         self.config.door.enter(self)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """It has gone."""
         self._leave()
         super().connection_lost(exc)
 
@@ -261,7 +254,6 @@ class HttpConnection(H11Protocol):
         super().on_response_complete()
 
     def handle_websocket_upgrade(self, event: h11.Request) -> None:
-        """From now on it is a WebSocket."""
         self._leave()
         super().handle_websocket_upgrade(event)
         cast(Metered, self.transport).put_back(len(self.conn.trailing_data[0]))

@@ -375,7 +375,6 @@ async def serve(fronts: Fronts) -> None:
 async def serve_http(
     fronts: Fronts, name: str, app: ASGIApp, *, lifespan: Literal["on", "off"] = "off"
 ) -> None:
-    """Serve an application on the sockets of a front."""
     server = Server.make(app, fronts.settings, lifespan=lifespan, intake=fronts.intake)
     await fronts.stack.enter_async_context(_serving(server, fronts.take(name)))
     fronts.leave_port.append(server.stop_listening)
@@ -408,7 +407,6 @@ class PublicFiles(StaticFiles):
     """
 
     def lookup_path(self, path: str) -> tuple[str, os.stat_result | None]:
-        """Where the file is; there is none where one is hidden."""
         found, status = super().lookup_path(path)
         for directory in self.all_directories if status is not None else ():
             inside = os.path.relpath(os.path.realpath(found), os.path.realpath(directory))

@@ -41,7 +41,6 @@ class Wording:
         self._followers: list[Callable[[], object]] = []
 
     def __call__(self, text: Text) -> str:
-        """The text as it is shown now."""
         return self.settings.speaker(text)
 
     def put(self, show: Callable[[str], object], key: str, **values: object) -> None:
@@ -214,7 +213,6 @@ class Buttons:
         self._tab.refusal = _NOT_TAKEN[what]
 
     def update(self, offered: Set[str]) -> None:
-        """Let those be pressed whose order is offered."""
         for name, buttons in self._buttons.items():
             is_on = name in offered
             for number, (button, was_on) in enumerate(buttons):
@@ -278,7 +276,6 @@ class NumberField:
 
     @property
     def shown_limits(self) -> tuple[float | None, float | None]:
-        """The limits in the operator's unit."""
         low, high = self._limits
         return self._to_shown(low), self._to_shown(high)
 

@@ -174,8 +174,6 @@ _SHAPES = {fly.ItemState.RIGHT: "✔", fly.ItemState.WRONG: "✖", fly.ItemState
 
 @dataclass(slots=True)
 class _Row:
-    """One line of the list on the page."""
-
     box: Any
     shape: Any
     state: Any

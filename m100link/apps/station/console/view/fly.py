@@ -76,7 +76,6 @@ class Checklist:
 
     @property
     def missing(self) -> tuple[Check, ...]:
-        """The items that are not right."""
         return tuple(check for check in self.checks if check.state is not ItemState.RIGHT)
 
 
