@@ -13,8 +13,8 @@ import logging
 import struct
 import time
 from collections import deque
-from collections.abc import AsyncIterator, Callable, Iterable, Mapping
-from contextlib import asynccontextmanager
+from collections.abc import Callable, Coroutine, Iterable, Mapping
+from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -30,7 +30,7 @@ from m100link.apps.agent.background import SparingLogger, TokenBucket
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.messages import Event
 from m100link.apps.station.config import Settings, namespace_of
-from m100link.apps.station.listeners import Fronts
+from m100link.apps.station.listeners import Fronts, beside
 from m100link.apps.station.ros.messages import without_nan
 from m100link.apps.station.web.access_control import AccessControl
 from m100link.apps.station.web.protocol import WebSocketConnection
@@ -310,20 +310,13 @@ class FoxgloveServer:
         routes = [WebSocketRoute("/{path:path}", self._serve), Route("/", self._greet)]
         return settings.gate(Starlette(routes=routes))
 
-    @asynccontextmanager
-    async def feeding(self) -> AsyncIterator[None]:
+    def feeding(self) -> AbstractAsyncContextManager[None]:
         """While the block runs, viewers get the telemetry and states of the agents."""
-        tasks = [
-            asyncio.create_task(work)
-            for name, agent in self._agents.items()
-            for work in (self._telemetry(name, agent), self._states(name, agent))
-        ]
-        try:
-            yield
-        finally:
-            for task in tasks:
-                task.cancel()
-            await asyncio.gather(*tasks, return_exceptions=True)
+        works: dict[str, Coroutine[Any, Any, None]] = {}
+        for name, agent in self._agents.items():
+            works[f"m100link station: telemetry of {name}"] = self._telemetry(name, agent)
+            works[f"m100link station: state of {name}"] = self._states(name, agent)
+        return beside(works)
 
     async def _telemetry(self, name: str, agent: AgentClient) -> None:
         async with agent.samples(Newest(_WAITING_SAMPLES)) as samples:

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from m100link.apps.agent.background import TokenBucket
 from m100link.apps.mavlink.translator.codec import (
     LAYOUTS,
     MOST_PEERS,
@@ -454,22 +455,22 @@ class Texts:
         self.waiting: deque[tuple[Severity, str]] = deque(maxlen=int(_AT_ONCE))
         self._reported: dict[str, float] = {}
         self._count = 0
-        self._allowed, self._at = _AT_ONCE, 0.0
+        self._allowed = TokenBucket(_PER_S, _AT_ONCE)
 
     def tell(self, severity: Severity, text: str) -> None:
         self.waiting.append((severity, text))
 
     def due(self, now: float) -> Iterator[MavlinkMessage]:
         """The messages; a long text comes in parts of 50 characters, four at most."""
-        self._allowed = min(_AT_ONCE, self._allowed + (now - self._at) * _PER_S)
-        self._at = now
         self._reported = {text: at for text, at in self._reported.items() if now - at < _AGAIN_S}
-        while self.waiting and self._allowed >= 1.0:
-            severity, text = self.waiting.popleft()
+        while self.waiting:
+            severity, text = one = self.waiting.popleft()
             if text in self._reported:
                 continue
+            if not self._allowed.take(now):
+                self.waiting.appendleft(one)
+                return
             self._reported[text] = now
-            self._allowed -= 1.0
             yield from self._parts(severity, text)
 
     def _parts(self, severity: Severity, text: str) -> Iterator[MavlinkMessage]:

@@ -10,7 +10,7 @@ import ipaddress
 import logging
 import secrets
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING
 from urllib.parse import parse_qs, unquote_plus, urlsplit
 
@@ -285,15 +285,12 @@ async def _ask_first(scope: Scope, send: Send) -> None:
     """A page with a link to what was asked for: opened by it, the station's own page asks."""
     query = scope.get("query_string", b"").decode("latin-1")
     address = f"{_path(scope)}?{query}" if query else _path(scope)
-    headers = [
-        (b"content-type", b"text/html; charset=utf-8"),
-        (b"content-security-policy", _QUESTION_POLICY.encode("ascii")),
-        (b"cache-control", b"no-store"),
-        (b"vary", b"sec-fetch-site"),
-    ]
-    await send({"type": "http.response.start", "status": 200, "headers": headers})
-    body = _QUESTION.replace("{}", html.escape(address))
-    await send({"type": "http.response.body", "body": body.encode()})
+    headers = {
+        "content-type": "text/html; charset=utf-8",
+        "content-security-policy": _QUESTION_POLICY,
+        "vary": "sec-fetch-site",
+    }
+    await answer(send, 200, headers, _QUESTION.replace("{}", html.escape(address)))
 
 
 async def _send_on(scope: Scope, send: Send, access: Access) -> None:
@@ -302,14 +299,8 @@ async def _send_on(scope: Scope, send: Send, access: Access) -> None:
     fields = scope["query_string"].decode("latin-1").split("&")
     rest = "&".join(one for one in fields if unquote_plus(one.partition("=")[0]) not in _SECRETS)
     location = f"{path}?{rest}" if rest else path
-    headers = [
-        (b"location", location.encode("latin-1")),
-        (b"set-cookie", access.set_cookie(is_secure=_is_secure(scope)).encode("ascii")),
-        (b"cache-control", b"no-store"),
-        (b"content-length", b"0"),
-    ]
-    await send({"type": "http.response.start", "status": 303, "headers": headers})
-    await send({"type": "http.response.body", "body": b""})
+    cookie = access.set_cookie(is_secure=_is_secure(scope))
+    await answer(send, 303, {"location": location, "set-cookie": cookie})
 
 
 async def _refuse(scope: Scope, receive: Receive, send: Send, why: str) -> None:
@@ -318,10 +309,15 @@ async def _refuse(scope: Scope, receive: Receive, send: Send, why: str) -> None:
         await receive()  # websocket.connect
         await send({"type": "websocket.close", "code": 1008})
         return
-    headers = [
-        (b"content-type", b"text/plain; charset=utf-8"),
-        (b"cache-control", b"no-store"),
-        (b"connection", b"close"),  # nothing more of it is read
-    ]
-    await send({"type": "http.response.start", "status": 403, "headers": headers})
-    await send({"type": "http.response.body", "body": f"{why}\n".encode()})
+    headers = {"content-type": "text/plain; charset=utf-8"}
+    headers["connection"] = "close"  # nothing more of it is read
+    await answer(send, 403, headers, f"{why}\n")
+
+
+async def answer(send: Send, status: int, headers: Mapping[str, str], text: str = "") -> None:
+    """A whole answer, which no browser keeps."""
+    body = text.encode()
+    fields = {**headers, "cache-control": "no-store", "content-length": str(len(body))}
+    raw = [(name.encode(), value.encode("latin-1")) for name, value in fields.items()]
+    await send({"type": "http.response.start", "status": status, "headers": raw})
+    await send({"type": "http.response.body", "body": body})

@@ -10,6 +10,8 @@ from collections import Counter
 from collections.abc import Collection
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
+from m100link.apps.station.web.access_control import answer
+
 if TYPE_CHECKING:
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -126,8 +128,8 @@ LONGEST_PAUSE = 1.0  # seconds that a pause lasts at most
 PLACES = 8  # how many may wait
 
 _BUSY = (
-    b'<!doctype html><meta http-equiv="refresh" content="1"><title>m100link</title>'
-    b"<p>Many clients requested this page at once. It retries by itself.</p>"
+    '<!doctype html><meta http-equiv="refresh" content="1"><title>m100link</title>'
+    "<p>Many clients requested this page at once. It retries by itself.</p>"
 )
 
 
@@ -145,7 +147,8 @@ class PageRateLimit:
         if scope["type"] != "http" or scope["path"] != self._path:
             await self._app(scope, receive, send)
         elif self._waiting >= PLACES:
-            await _send_away(send)
+            headers = {"content-type": "text/html; charset=utf-8", "retry-after": "1"}
+            await answer(send, 503, headers, _BUSY)
         else:
             await self._take_turn(scope, receive, send)
 
@@ -179,13 +182,3 @@ class PageRateLimit:
             await self._app(scope, receive, send_built)
         finally:
             end()
-
-
-async def _send_away(send: Send) -> None:
-    headers = [
-        (b"content-type", b"text/html; charset=utf-8"),
-        (b"retry-after", b"1"),
-        (b"content-length", str(len(_BUSY)).encode()),
-    ]
-    await send({"type": "http.response.start", "status": 503, "headers": headers})
-    await send({"type": "http.response.body", "body": _BUSY})
