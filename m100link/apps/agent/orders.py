@@ -75,6 +75,8 @@ class Order:
     after_stop: ClassVar[AfterStop] = AfterStop.ANEW  #: DONE where it moves nothing
     #: Whether it is done as it is heard, before orders that were heard and have not begun.
     is_at_once: ClassVar[bool] = False
+    #: Whether it ends a movement or gives control back: no limit of any front drops or delays it.
+    ends: ClassVar[bool] = False
     label: ClassVar[str]  #: its name for people
 
     def __init_subclass__(cls, *, is_kind: bool = True, label: str = "", **data: Any) -> None:
@@ -102,7 +104,7 @@ ORDERS: dict[str, type[Order]] = {}
 # -- orders that end a flight: they need no lease over a fleet, and wait for nobody ----------------
 
 
-class EndingOrder(Order, is_kind=False, right=Right.STOP, moves=False, is_kept=False):
+class EndingOrder(Order, is_kind=False, right=Right.STOP, moves=False, is_kept=False, ends=True):
     """Any order that ends a flight."""
 
 
@@ -150,7 +152,7 @@ class RenewLease(LeaseOrder, moves=False):
     token: str = field(default="", repr=False)  #: proof of the lease
 
 
-class ReleaseLease(LeaseOrder, moves=False, age=Age.ANY):
+class ReleaseLease(LeaseOrder, moves=False, age=Age.ANY, ends=True):
     """Give the lease back."""
 
     token: str = field(default="", repr=False)  #: proof of the lease
@@ -179,7 +181,7 @@ class Obtain(Order, after_stop=AfterStop.IF_NEWER):
     """Obtain control authority; its client begins anew by it after a STOP."""
 
 
-class Release(Order, after_stop=AfterStop.DONE):
+class Release(Order, after_stop=AfterStop.DONE, ends=True):
     """Give control authority back; the lease stays."""
 
 
@@ -187,7 +189,7 @@ class TakeOff(Order):
     """Start the motors and climb to about 1.2 m."""
 
 
-class GoHome(Order):
+class GoHome(Order, ends=True):
     """Fly to the home point and land."""
 
 
@@ -201,7 +203,7 @@ class StartMotors(Order):
     """Start the motors on the ground."""
 
 
-class StopMotors(Order, after_stop=AfterStop.DONE):
+class StopMotors(Order, after_stop=AfterStop.DONE, ends=True):
     """Stop the motors on the ground; nothing of the kind is ever sent in the air."""
 
 
@@ -295,11 +297,11 @@ class StartMission(Order):
     until_over: bool = False  #: done when it is over, not when it has begun
 
 
-class StopMission(Order, after_stop=AfterStop.DONE):
+class StopMission(Order, after_stop=AfterStop.DONE, ends=True):
     """End the mission that flies, of whatever kind; done when something else may fly."""
 
 
-class PauseMission(Order, after_stop=AfterStop.DONE):
+class PauseMission(Order, after_stop=AfterStop.DONE, ends=True):
     """Let the aircraft hover in the mission, of whatever kind."""
 
 

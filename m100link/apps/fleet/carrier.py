@@ -24,7 +24,6 @@ from m100link.apps.agent.lease import (
     LeaseRefused,
     TakeOver,
 )
-from m100link.apps.agent.orders import Right
 from m100link.apps.agent.transports import Receiver
 from m100link.apps.bus.network import Held
 from m100link.apps.fleet.asking import Asker
@@ -304,8 +303,7 @@ class FleetChannel(Receiver):
             if lease is not None:
                 self._keep(lease)
             return
-        # An order that ends a movement is never refused here, however much waits for answers.
-        if self._asks >= _MOST_ASKS and order.right is not Right.STOP:
+        if self._asks >= _MOST_ASKS and not order.ends:
             error = UsageError(f"{self._asks} orders of this client wait for answers already")
             self._answer(ask.id, None, error)
             return

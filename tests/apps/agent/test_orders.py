@@ -26,22 +26,23 @@ from tests.apps.agent.examples import EXAMPLES, example
 
 # Needs no lease, needs one if somebody has it; the right to stop, to watch; does not move the
 # aircraft, is not kept, may be old, is young if its time is known, is done at once. After a STOP:
-# it is done, or done where it is newer.
+# it is done, or done where it is newer. It ends a movement, or gives control back.
 BY_HAND = {
-    "Stop": "no-lease stop still unkept any-age done",
-    "Halt": "no-lease stop still unkept any-age at-once done",
-    "Land": "stop still unkept newer",
+    "Stop": "no-lease stop still unkept any-age done ends",
+    "Halt": "no-lease stop still unkept any-age at-once done ends",
+    "Land": "stop still unkept newer ends",
     "AskVersion": "no-lease watch still unkept any-age done",
     "UploadPlan": "still unkept any-age done",
     "AcquireLease": "no-lease unkept if-known at-once newer",
     "AskTakeOver": "no-lease unkept any-age at-once newer",
     "ConfirmTakeOver": "no-lease unkept at-once newer",
     "RenewLease": "no-lease still unkept at-once done",
-    "ReleaseLease": "no-lease still unkept any-age at-once done",
+    "ReleaseLease": "no-lease still unkept any-age at-once done ends",
     "OrderReplay": "no-lease newer",
+    "GoHome": "ends",
     **dict.fromkeys(("Activate", "PointGimbal", "TurnGimbal", "UseCamera"), "if-held newer"),
     **dict.fromkeys(("Obtain", "SendToMobile"), "newer"),
-    **dict.fromkeys(("Release", "StopMotors", "StopMission", "PauseMission"), "done"),
+    **dict.fromkeys(("Release", "StopMotors", "StopMission", "PauseMission"), "done ends"),
 }
 
 
@@ -60,6 +61,7 @@ def test_an_order_is_the_most_dangerous_one_unless_it_is_named(kind: type[Order]
         "at-once": kind.is_at_once,
         "done": kind.after_stop is AfterStop.DONE,
         "newer": kind.after_stop is AfterStop.IF_NEWER,
+        "ends": kind.ends,
     }
     assert {one for one, is_so in said.items() if is_so} == set(
         BY_HAND.get(kind.__name__, "").split()

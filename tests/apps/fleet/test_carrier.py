@@ -13,7 +13,14 @@ from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient, Hearing
 from m100link.apps.agent.control_session import ControlSession
 from m100link.apps.agent.lease import Lease, LeaseHeld
-from m100link.apps.agent.messages import EventTopic, LeaseChanged, State
+from m100link.apps.agent.messages import (
+    Ask,
+    EventTopic,
+    LeaseChanged,
+    Message,
+    OrderOutcome,
+    State,
+)
 from m100link.apps.agent.orders import FlyTo
 from m100link.apps.fleet.client import Fleet
 from m100link.apps.fleet.keys import Keys
@@ -22,6 +29,7 @@ from m100link.errors import GuardRefused, LinkError, M100Error, StaleLease
 from m100link.protocol.records import Position
 from m100link.protocol.setpoint import Setpoint
 from m100link.sim.virtual import VirtualAircraft
+from tests.apps.agent.examples import EXAMPLES
 from tests.apps.fleet.conftest import SITE, Rig
 from tests.rig import put_in_the_air
 
@@ -426,3 +434,20 @@ async def test_a_stop_between_two_steps_of_a_request_for_control_ends_all_of_it(
                 seconds, flew = await _moved(rig, kind, way_s, after)
             took = took or seconds
             assert flew == (after is None), (kind, way_s, after, took)
+
+
+async def test_an_order_that_ends_something_waits_behind_no_others(rig: Rig) -> None:
+    """An operator whose orders wait for answers may still stop, land and let go."""
+    await rig.served("a1")
+    pilot = await rig.pilot("anna")
+    channel = await pilot.reach("a1")
+    told: list[Message] = []
+    channel.open(told.append, lambda _: None)
+    rig.cut(pilot)
+    for number in range(100):
+        channel.send(Ask(1000 + number, orders.AskVersion()))
+    for number, order in enumerate(EXAMPLES):
+        channel.send(Ask(2000 + number, order))
+        refused = [one.id for one in told if isinstance(one, OrderOutcome)]
+        assert (2000 + number not in refused) is order.ends, order
+    channel.close()

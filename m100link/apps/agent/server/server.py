@@ -40,7 +40,7 @@ from m100link.apps.agent.messages import (
     Telemetry,
     fault_of,
 )
-from m100link.apps.agent.orders import Halt, Right
+from m100link.apps.agent.orders import Halt
 from m100link.apps.agent.server.agent import Agent, Answer
 from m100link.apps.agent.server.mission import push_of
 from m100link.apps.agent.transports import Channel
@@ -358,7 +358,7 @@ class ClientSession:
                         self._agent.background.spawn(self._hover(ask), f"hover for {self._name}")
                     self._report_hover(order.why)
                 self._answer(ask, Stage.DONE, answer=answer)
-        elif self._asks[lease] >= _MAX_ASKS and order.right is not Right.STOP:  # waits for nobody
+        elif self._asks[lease] >= _MAX_ASKS and not order.ends:
             too_many = UsageError(f"{self._asks[lease]} questions of this front wait already")
             self._answer(ask, Stage.FAILED, too_many)
         else:

@@ -42,6 +42,7 @@ from m100link.protocol.commands.gimbal import GimbalAngle, GimbalSpeed
 from m100link.protocol.setpoint import Setpoint
 from m100link.telemetry.sample import Sample
 from tests.apps.agent.conftest import Rig, guided
+from tests.apps.agent.examples import EXAMPLES
 
 pytestmark = pytest.mark.anyio
 
@@ -361,6 +362,19 @@ async def test_questions_without_the_lease_cost_its_holder_behind_the_same_front
     ]
     assert len([one for one in refused if one.id < 300]) == 200 - 64
     assert {one.id for one in refused}.isdisjoint({3, 4})
+
+
+async def test_an_order_that_ends_something_waits_behind_no_questions(
+    rig: Rig, service: AgentServer
+) -> None:
+    front = Front(rig, service)
+    fence = front.lease().number
+    for number in range(100):
+        front.send(Ask(1000 + number, orders.SetHotpointRate(5.0), fence))
+    for number, order in enumerate(EXAMPLES):
+        front.send(Ask(2000 + number, order, fence))
+        refused = [one.id for one in front.all(OrderOutcome) if "wait already" in str(one.fault)]
+        assert (2000 + number not in refused) is (order.ends or order.is_at_once), order
 
 
 @pytest.mark.parametrize("fails", [False, True])
