@@ -8,8 +8,7 @@ overtakes each step of the goals that came before it.
 from __future__ import annotations
 
 import asyncio
-from collections import deque
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Iterable
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import partial
@@ -17,7 +16,7 @@ from itertools import count
 from typing import Any
 
 from m100link.apps.agent.client import PRESSED_AT, AgentClient
-from m100link.apps.station.ros.graph import Graph, GraphListener, stamped
+from m100link.apps.station.ros.graph import Ends, Graph, GraphListener, always, never, stamped
 from m100link.apps.station.ros.leases import Clients
 from m100link.apps.station.ros.messages import Message, present
 from m100link.errors import M100Error
@@ -72,13 +71,14 @@ class ActionServer:
         name: str,
         kind: str,  # package and name of the action, without ``Action``
         work: Work,
+        ends: Ends = never,
     ) -> None:
         self._agent, self._graph, self._clients, self._work = agent, graph, clients, work
-        self._name, self._numbers = name, count(1)
-        self._goals: deque[_Goal] = deque(maxlen=_KEPT)
+        self._name, self._numbers, self._ends = name, count(1), ends
+        self._goals: list[_Goal] = []
         self._newest: _Goal | None = None
-        graph.add_topic(f"{name}/goal", f"{kind}ActionGoal", self._on_goal)
-        graph.add_topic(f"{name}/cancel", "actionlib_msgs/GoalID", self._on_cancel)
+        graph.add_topic(f"{name}/goal", f"{kind}ActionGoal", self._on_goal, ends)
+        graph.add_topic(f"{name}/cancel", "actionlib_msgs/GoalID", self._on_cancel, always)
         self._status = graph.add_topic(f"{name}/status", "actionlib_msgs/GoalStatusArray")
         self._feedback = graph.add_topic(f"{name}/feedback", f"{kind}ActionFeedback")
         self._result = graph.add_topic(f"{name}/result", f"{kind}ActionResult")
@@ -94,8 +94,10 @@ class ActionServer:
 
     def _tell_status(self) -> None:
         now = self._agent.now
-        while self._goals and now - (self._goals[0].ended_at or now) > _KEPT_S:
-            self._goals.popleft()
+        # However many are refused meanwhile: one that flies has to be found by its cancel.
+        ends = [(one, one.ended_at) for one in self._goals]
+        over = [one for one, at in ends if at is not None and now - at <= _KEPT_S]
+        self._goals = [one for one in self._goals if one.ended_at is None or one in over[-_KEPT:]]
         if self._status.subscribers:
             message = {"header": stamped(""), "status_list": [one.status for one in self._goals]}
             self._graph.publish(self._status, message, now)
@@ -120,7 +122,7 @@ class ActionServer:
             identity["stamp"] = present()
         goal, before = _Goal(client, identity, message["goal"], now), self._newest
         self._goals.append(goal)
-        if not self._clients.admits(client):
+        if not (self._ends(message) or self._clients.admits(client)):
             self._end(goal, GoalState.REJECTED, "more orders than one client may give")
             return
         self._newest = goal
@@ -158,25 +160,35 @@ class ActionServer:
 
     def _on_cancel(self, client: GraphListener, message: Message, now: float) -> None:
         """A goal by its id; all of them without id and stamp; those before a stamp alone."""
-        for goal in list(self._goals):
+        meant = []
+        for goal in self._goals:
             stamp, until = (_seconds(one["stamp"]) for one in (goal.identity, message))
             is_named = goal.identity["id"] == message["id"]
             if is_named or (not message["id"] and (not until or stamp <= until)):
-                self._cancel(goal, "it was cancelled")
+                meant.append(goal)
+        self.cancel(meant, "it was cancelled", client)
 
-    def cancel_all(self, why: str) -> None:
-        for goal in self._goals:
-            self._cancel(goal, why)
+    def cancel_all(self, why: str, client: GraphListener | None = None) -> None:
+        self.cancel(self._goals, why, client)
+
+    def cancel(self, goals: Iterable[_Goal], why: str, client: GraphListener | None = None) -> None:
+        """Cancel goals; the client hears if none of them had an end to come."""
+        cancelled = [self._cancel(goal, why) for goal in goals]
+        if client is not None and not any(cancelled):
+            client.status("warning", f"{self._name}: no such goal is active, nothing was cancelled")
 
     def _left(self, client: GraphListener, now: float) -> None:
         for goal in self._goals:
             if goal.client is client:
                 self._cancel(goal, "its client has gone")
 
-    def _cancel(self, goal: _Goal, why: str) -> None:
-        if goal.task is not None and not goal.task.done():
+    def _cancel(self, goal: _Goal, why: str) -> bool:
+        """Returns whether it had not ended."""
+        is_under_way = goal.task is not None and not goal.task.done()
+        if goal.task is not None and is_under_way:
             goal.why = goal.why or why
             goal.task.cancel()
+        return is_under_way
 
 
 def _seconds(stamp: Message) -> float:

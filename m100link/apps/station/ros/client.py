@@ -35,6 +35,7 @@ from m100link.errors.texts import read_json
 _Packing = tuple[int | None, str]
 
 _SMALLEST_FRAGMENT = 100  # characters of a fragment; who wants smaller ones gets these
+_SHORT = 1024  # characters of a frame that is looked at beyond every limit: it may be a STOP
 _COMPLAINT_PAUSE = 1.0  # seconds between two statuses that tell a client that it does too much
 
 _LEVELS = ("none", "error", "warning", "info")
@@ -51,7 +52,7 @@ class ClientLimits:
     burst: float = 400.0  # frames at once
     subscriptions: int = 100  # subscriptions in force
     advertisements: int = 100
-    calls: int = 16  # service calls without an answer yet; and as many that stop a flight
+    calls: int = 16  # service calls without an answer yet, but for those that end something
     # Messages that wait for a slow client; beyond it the oldest of the busiest topic are dropped.
     waiting: int = 500
     answers: int = 500  # answers and statuses that wait; beyond it the client is disconnected
@@ -100,7 +101,7 @@ class Client:
         self._advertised: dict[str, set[str]] = {}
         self._reassembly = Reassembly(self.limits.message_size)
         self._level = _LEVELS.index("error")
-        self._calls = {False: 0, True: 0}  # without an answer, by whether they stop a flight
+        self._calls = 0  # without an answer, but for those that end something
         self._frames = TokenBucket(self.limits.rate, self.limits.burst)
         self._bytes = TokenBucket(self.limits.bytes_rate, 4 * self.limits.message_size)
         self._work = TokenBucket(self.limits.work_rate, self.limits.work_burst)
@@ -154,17 +155,35 @@ class Client:
             self.disconnect("too many frames that could not be carried out")
 
     def _admit(self, frame: str | bytes, now: float) -> None:
-        """Refuse a frame before anything in it is looked at.
+        """Refuse a frame before anything in it is looked at, unless it is a short one that ends.
 
         Raises ``_Overdone``: the client uses more than it may.
         """
-        limits = self.limits
+        limits, why = self.limits, ""
         if not self._frames.take(now):
-            raise _Overdone(f"more than {limits.rate:g} frames per second")
-        if not self._bytes.take(now, len(frame)):
-            raise _Overdone(f"more than {limits.bytes_rate:g} bytes per second")
-        if self._work.wait(now) > 0.0:
-            raise _Overdone("more work per second than one client may cause")
+            why = f"more than {limits.rate:g} frames per second"
+        elif not self._bytes.take(now, len(frame)):
+            why = f"more than {limits.bytes_rate:g} bytes per second"
+        elif self._work.wait(now) > 0.0:
+            why = "more work per second than one client may cause"
+        if why and not self._ends(frame):
+            raise _Overdone(why)
+
+    def _ends(self, frame: str | bytes) -> bool:
+        """Whether it ends a movement or gives control back; the intake bounds what this costs."""
+        if len(frame) > _SHORT:
+            return False
+        try:
+            message = self._parse(frame)
+            if message.get("op") == "publish":
+                topic = self._topic({"topic": message.get("topic")})
+                return topic.ends(topic.type.read(message.get("msg", {})))
+            name = str(message.get("service", "")).partition("#")[0]
+            service = self.graph.services.get(canonical_name(name))
+            request = message.get("args")
+            return service is not None and service.ends(service.type.read_request(request))
+        except (_Fault, BadMessage):
+            return False
 
     def charge(self, seconds: float, now: float) -> None:
         """The client has made the station work for so long."""
@@ -286,16 +305,17 @@ class Client:
         try:
             if service is None:
                 raise _Fault(f"there is no service {name[:128]!r}; /rosapi/services lists them")
-            if (waiting := self._calls[service.stops]) >= self.limits.calls:
-                raise _Fault(f"{waiting} calls wait for their answers already")
             packing = self._packing(message)
             request = service.type.read_request(message.get("args"))
+            counts = not service.ends(request)
+            if counts and self._calls >= self.limits.calls:
+                raise _Fault(f"{self._calls} calls wait for their answers already")
         except (_Fault, BadMessage) as fault:
             # The answer says why: a status would say it twice.
             self._count_fault(now)
             self._respond(name, identity, packing, json.dumps(str(fault)), False)
             return
-        self._calls[service.stops] += 1
+        self._calls += counts
         call = ServiceCall(self, service, request, (name, identity, packing), now)
         service.on_call(call)
 
@@ -342,7 +362,7 @@ class Client:
 
     def respond(self, call: ServiceCall, values: str, result: bool) -> None:
         """Answer a service call; ``values`` is JSON."""
-        self._calls[call.service.stops] -= 1
+        self._calls -= not call.service.ends(call.request)
         name, identity, packing = call.identity
         self._respond(name, identity, packing, values, result)
 

@@ -16,8 +16,15 @@ from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.latency import MAX_LATE, ClockEstimate
 from m100link.apps.agent.orders import CameraUse
-from m100link.apps.station.ros.graph import Graph, GraphListener, RosTopic, ServiceCall, stamped
-from m100link.apps.station.ros.leases import TASKS, Clients
+from m100link.apps.station.ros.graph import (
+    Graph,
+    GraphListener,
+    RosTopic,
+    ServiceCall,
+    ends_by,
+    stamped,
+)
+from m100link.apps.station.ros.leases import TASKS, WAYS_DOWN, Clients
 from m100link.apps.station.ros.messages import Message
 from m100link.apps.station.ros.missions import MissionTopics
 from m100link.apps.station.ros.node_2016 import Node2016
@@ -153,14 +160,29 @@ class DjiSdk:
     def _add_services(self) -> None:
         for name, kind, handler in (
             ("activation", "Activation", self._activate),
-            ("sdk_control_authority", "SDKControlAuthority", self._authority),
-            ("sdk_permission_control", "SDKPermissionControl", self._authority),
-            ("drone_task_control", "DroneTaskControl", self._task),
             ("query_drone_version", "QueryDroneVersion", self._version),
             ("set_local_pos_ref", "SetLocalPosRef", self._set_origin),
             ("send_data_to_mobile", "SendMobileData", self._send_to_mobile),
         ):
             self._clients.offer(name, kind, handler)
+        for name, kind, handler, field, ending in (
+            (
+                "sdk_control_authority",
+                "SDKControlAuthority",
+                self._authority,
+                "control_enable",
+                (0,),
+            ),
+            (
+                "sdk_permission_control",
+                "SDKPermissionControl",
+                self._authority,
+                "control_enable",
+                (0,),
+            ),
+            ("drone_task_control", "DroneTaskControl", self._task, "task", WAYS_DOWN),
+        ):
+            self._clients.offer(name, kind, handler, ends_by(field, *ending))
 
     async def _activate(self, call: ServiceCall) -> Message:
         return await self._clients.order(call, orders.Activate()) | {"cmd_set": 0, "cmd_id": 1}
@@ -260,18 +282,18 @@ class PayloadTopics:
 
     def __init__(self, agent: AgentClient, graph: Graph, clients: Clients) -> None:
         self._agent, self._clients = agent, clients
-        graph.add_topic("/dji_sdk/gimbal_angle_cmd", "dji_sdk/Gimbal", self._on_angles)
-        graph.add_topic("/dji_sdk/gimbal_speed_cmd", "geometry_msgs/Vector3Stamped", self._on_rates)
+        clients.hear("/dji_sdk/gimbal_angle_cmd", "dji_sdk/Gimbal", self._on_angles)
+        clients.hear("/dji_sdk/gimbal_speed_cmd", "geometry_msgs/Vector3Stamped", self._on_rates)
         for name, kind, handler in (
             ("camera_action", "CameraAction", self._camera),
             ("camera_action_control", "CameraActionControl", self._camera),
             ("gimbal_angle_control", "GimbalAngleControl", self._angles),
             ("gimbal_speed_control", "GimbalSpeedControl", self._rates),
-            ("drone_arm_control", "DroneArmControl", self._arm),
         ):
             clients.offer(name, kind, handler)
+        clients.offer("drone_arm_control", "DroneArmControl", self._arm, ends_by("arm", 0))
 
-    def _on_angles(self, session: GraphListener, message: Message, now: float) -> None:
+    async def _on_angles(self, session: GraphListener, message: Message) -> None:
         """Radians, as DJI's node has them; seconds are whole."""
         command = GimbalAngle(
             yaw_deg=math.degrees(message["yaw"]),
@@ -280,9 +302,9 @@ class PayloadTopics:
             mode=message["mode"],
             duration_s=max(_SHORTEST_S, float(message["ts"])),
         )
-        self._send(session, command)
+        await self._clients.session(session).ask(_gimbal(command))
 
-    def _on_rates(self, session: GraphListener, message: Message, now: float) -> None:
+    async def _on_rates(self, session: GraphListener, message: Message) -> None:
         """Radians per second: roll, pitch, yaw. One message turns it for half a second."""
         vector = message["vector"]
         command = GimbalSpeed(
@@ -290,7 +312,7 @@ class PayloadTopics:
             roll_deg_s=math.degrees(vector["x"]),
             pitch_deg_s=math.degrees(vector["y"]),
         )
-        self._send(session, command)
+        await self._clients.session(session).ask(_gimbal(command))
 
     async def _angles(self, call: ServiceCall) -> Message:
         """Tenths of a degree and of a second."""
@@ -322,14 +344,6 @@ class PayloadTopics:
             pitch_deg_s=asked["pitch_rate"] / 10.0,
         )
         return await self._clients.order(call, _gimbal(command))
-
-    def _send(self, session: GraphListener, command: GimbalAngle | GimbalSpeed) -> None:
-        try:
-            order = _gimbal(command)
-        except M100Error as error:
-            self._clients.complain(session, error)
-            return
-        self._clients.run(session, lambda: self._clients.session(session).ask(order), order.label)
 
     async def _camera(self, call: ServiceCall) -> Message:
         number = call.request["camera_action"]

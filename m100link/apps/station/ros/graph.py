@@ -96,12 +96,30 @@ class GraphListener(Protocol):
         """Report something, with the level ``error``, ``warning`` or ``info``."""
 
 
+Ends = Callable[[Message], bool]
+"""Whether a message ends a movement or gives control back: no limit counts or drops it."""
+
+
+def never(_: Message) -> bool:
+    return False
+
+
+def always(_: Message) -> bool:
+    return True
+
+
+def ends_by(field: str, *values: object) -> Ends:
+    """A message ends something if its field has one of these values."""
+    return lambda message: message[field] in values
+
+
 @dataclass(slots=True, eq=False)
 class RosTopic:
     name: str  # its name, with a leading slash
     type: MessageType  # type of its messages
     # The effect of a client's message; None on topics that only the station publishes.
     on_publish: Callable[[GraphListener, Message, float], None] | None = None
+    ends: Ends = never
     subscribers: set[GraphListener] = field(default_factory=set)  # sessions that listen
 
 
@@ -134,7 +152,7 @@ class RosService:
     name: str  # its name, with a leading slash
     type: ServiceType
     on_call: Callable[[ServiceCall], None]  # answers a call, at once or later
-    stops: bool = False  # whether it ends a flight: it waits behind no other calls
+    ends: Ends = never  # by its request
 
 
 class Graph:
@@ -171,13 +189,14 @@ class Graph:
         name: str,
         type_name: str,
         on_publish: Callable[[GraphListener, Message, float], None] | None = None,
+        ends: Ends = never,
     ) -> RosTopic:
         """A topic that the station publishes, or takes messages from.
 
         DJI's nodes have a name more than once, with another type: a client says which it wants.
         """
         name = self.prefix + name
-        topic = RosTopic(name, MESSAGES[type_name], on_publish)
+        topic = RosTopic(name, MESSAGES[type_name], on_publish, ends)
         if self.topics.setdefault(name, topic) is not topic:
             self.others[name, type_name] = topic
         return topic
@@ -198,12 +217,11 @@ class Graph:
         name: str,
         type_name: str,
         on_call: Callable[[ServiceCall], None],
-        *,
-        stops: bool = False,
+        ends: Ends = never,
     ) -> None:
         """A service that the station offers."""
         name = self.prefix + name
-        self.services[name] = RosService(name, SERVICES[type_name], on_call, stops)
+        self.services[name] = RosService(name, SERVICES[type_name], on_call, ends)
 
     def publish(self, topic: RosTopic, message: Message, now: float) -> None:
         if topic.subscribers:

@@ -17,12 +17,21 @@ from m100link.apps.agent.background import TokenBucket
 from m100link.apps.agent.client import AgentClient, given
 from m100link.apps.agent.control_session import ControlSession, ControlState, Terms
 from m100link.apps.agent.lease import LeaseRefused, not_in_force
-from m100link.apps.station.ros.graph import Graph, GraphListener, ServiceCall
+from m100link.apps.station.ros.graph import (
+    Ends,
+    Graph,
+    GraphListener,
+    ServiceCall,
+    always,
+    ends_by,
+    never,
+)
 from m100link.apps.station.ros.messages import Message
 from m100link.errors import CommandRefused, M100Error, UsageError
 
 TASKS: dict[int, orders.Order] = {4: orders.TakeOff(), 6: orders.Land(), 1: orders.GoHome()}
 """What DJI's nodes ask for by the number of a task."""
+WAYS_DOWN = tuple(number for number, task in TASKS.items() if task.ends)
 
 _COMPLAINT_PAUSE = 1.0
 _CONTROL, _COMPLAINED_AT, _ORDERS = "control session", "complained at", "orders"
@@ -43,8 +52,9 @@ class Clients:
         self._notes = TokenBucket(_NOTES_RATE, _NOTES_AT_ONCE)
         self._terms = Terms(activates=False, remedy=remedy)
         graph.on_leave.append(self._left)
-        graph.add_service("/m100link/lease", "m100link/Lease", self._on_lease)
-        graph.add_service("/m100link/stop", "std_srvs/Trigger", self._on_stop, stops=True)
+        is_release = ends_by("action", "release")
+        graph.add_service("/m100link/lease", "m100link/Lease", self._on_lease, is_release)
+        graph.add_service("/m100link/stop", "std_srvs/Trigger", self._on_stop, always)
 
     def session(self, client: GraphListener) -> ControlSession:
         """The control session of that client; a closed one when the client has gone."""
@@ -130,23 +140,34 @@ class Clients:
         self.complain(client, UsageError(f"more than {_RATE:g} orders per second: not done"))
         return False
 
-    def run(
-        self, client: GraphListener, order: Callable[[], Coroutine[Any, Any, object]], name: str
+    def hear(
+        self,
+        name: str,
+        kind: str,
+        order: Callable[[GraphListener, Message], Coroutine[Any, Any, object]],
+        ends: Ends = never,
     ) -> None:
-        """Carry out a client's order, unless it orders too much; it hears when that fails."""
-        if not self.admits(client):
-            return
+        """Take messages of a topic as orders; the client hears when one fails, or is too many."""
 
-        async def guarded() -> None:
+        async def guarded(client: GraphListener, message: Message) -> None:
             try:
-                await order()
+                await order(client, message)
             except M100Error as error:
                 client.status("error", str(error))
 
-        self._agent.background.spawn(guarded(), f"{name} for {client.name}")
+        def on_publish(client: GraphListener, message: Message, now: float) -> None:
+            if ends(message) or self.admits(client):
+                work = guarded(client, message)
+                self._agent.background.spawn(work, f"{name} for {client.name}")
+
+        self._graph.add_topic(name, kind, on_publish, ends)
 
     def offer(
-        self, name: str, kind: str, handler: Callable[[ServiceCall], Coroutine[Any, Any, Message]]
+        self,
+        name: str,
+        kind: str,
+        handler: Callable[[ServiceCall], Coroutine[Any, Any, Message]],
+        ends: Ends = never,
     ) -> None:
         """Offer a service of ``dji_sdk``: a refusal is an answer, trouble is a failure.
 
@@ -166,12 +187,12 @@ class Clients:
             call.respond({name: value for name, value in response.items() if name in known})
 
         def on_call(call: ServiceCall) -> None:
-            if self.admits(call.session):
+            if ends(call.request) or self.admits(call.session):
                 self._agent.background.spawn(answer(call), name)
             else:
                 call.fail("more orders than one client may give")
 
-        self._graph.add_service(f"/dji_sdk/{name}", f"dji_sdk/{kind}", on_call)
+        self._graph.add_service(f"/dji_sdk/{name}", f"dji_sdk/{kind}", on_call, ends)
 
     # -- the service -----------------------------------------------------------------------------
 

@@ -23,16 +23,13 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Callable, Coroutine
-from functools import partial
-from typing import Any
 
 from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.lease import LeaseHeld
 from m100link.apps.agent.orders import ANGLE_MODE, VELOCITY_MODE, setpoint_of
-from m100link.apps.station.ros.graph import Graph, GraphListener, Publication, RosTopic
-from m100link.apps.station.ros.leases import TASKS, Clients
+from m100link.apps.station.ros.graph import Graph, GraphListener, Publication, RosTopic, never
+from m100link.apps.station.ros.leases import TASKS, WAYS_DOWN, Clients
 from m100link.apps.station.ros.messages import Message
 from m100link.errors import (
     ActivationRefused,
@@ -58,12 +55,9 @@ REPEAT_LIFETIME = 0.2  # seconds of a setpoint that was repeated: held keys repe
 NO_AUTHORITY = 8.0
 """On ``/activation_status``: an answer said that something is missing (codes 0xFF00 to 0xFF02)."""
 
-_CLOSED_BY_APP = 4.0
+_CLOSED_BY_APP, _CLOSE = 4.0, 0
 _VERSION_PAUSE = 10.0
 _MODE, _LAST = "control mode", "last setpoint"
-_Order = Callable[
-    [GraphListener, float], Coroutine[Any, Any, object]
-]  # whose, and the number that came
 _NEEDS_MORE = (NotActivated, LevelTooLow, CommandNotSupported, KeyRejected)
 
 
@@ -73,14 +67,15 @@ class Node2015:
     def __init__(self, agent: AgentClient, graph: Graph, clients: Clients) -> None:
         self._agent, self._graph, self._clients = agent, graph, clients
         number = "std_msgs/Float32"
-        for name, work in (
-            ("/sdk_request_cmd", self._command),
-            ("/nav_open_close_request", self._open_or_close),
-            ("/sdk_request_simple_task", self._simple_task),
-            ("/sdk_request_activation", self._activate),
+        for name, work, ends in (
+            ("/sdk_request_cmd", self._command, lambda one: _is_byte(one, *WAYS_DOWN)),
+            ("/nav_open_close_request", self._open_or_close, lambda one: _is_byte(one, _CLOSE)),
+            ("/sdk_request_simple_task", self._simple_task, lambda one: one["data"] <= -1.0),
+            ("/sdk_request_activation", self._activate, never),
         ):
-            graph.add_topic(name, number, partial(self._on_order, name, work))
-        graph.add_topic("/sdk_request_ctrl", "geometry_msgs/Quaternion", self._on_control)
+            clients.hear(name, number, work, ends)
+        name, kind = "/sdk_request_ctrl", "geometry_msgs/Quaternion"
+        graph.add_topic(name, kind, self._on_control, lambda one: not any(one.values()))
         graph.add_topic("/sdk_request_ctrl_mode", number, self._on_mode)
         self._battery = graph.add_topic("/battery_status", number)
         self._open_close = graph.add_topic("/nav_open_close_status", number)
@@ -116,12 +111,7 @@ class Node2015:
 
     # -- what the node is asked ------------------------------------------------------------------
 
-    def _on_order(
-        self, name: str, work: _Order, session: GraphListener, message: Message, now: float
-    ) -> None:
-        self._clients.run(session, lambda: work(session, message["data"]), name)
-
-    async def _activate(self, session: GraphListener, data: float = 0.0) -> None:
+    async def _activate(self, session: GraphListener, _: Message) -> None:
         try:
             await self._clients.session(session).ask(orders.Activate())
         except ActivationRefused:
@@ -130,9 +120,9 @@ class Node2015:
             self._tell(self._activation, NO_AUTHORITY)
             raise
 
-    async def _open_or_close(self, session: GraphListener, data: float) -> None:
-        wanted = _byte(data)
-        if wanted not in (0, 1):
+    async def _open_or_close(self, session: GraphListener, message: Message) -> None:
+        wanted = _byte(message["data"])
+        if wanted not in (_CLOSE, 1):
             raise UsageError(f"/nav_open_close_request takes 1 (open) or 0 (close), not {wanted}")
         try:
             await self._clients.switch(session, on=bool(wanted))
@@ -151,8 +141,8 @@ class Node2015:
             self._tell(self._activation, NO_AUTHORITY)
             raise
 
-    async def _command(self, session: GraphListener, data: float) -> None:
-        number = _byte(data)
+    async def _command(self, session: GraphListener, message: Message) -> None:
+        number = _byte(message["data"])
         if number not in TASKS:
             raise UsageError(
                 f"/sdk_request_cmd takes 4 (take-off), 6 (landing) and 1 (go-home), not {number}",
@@ -184,15 +174,14 @@ class Node2015:
         except M100Error as error:
             self._clients.complain(session, error)
 
-    async def _simple_task(self, session: GraphListener, data: float) -> None:
-        if not math.isfinite(data):
+    async def _simple_task(self, session: GraphListener, message: Message) -> None:
+        if not math.isfinite(message["data"]):
             raise UsageError("/sdk_request_simple_task takes a number")
-        number = int(data)
-        if number < 0:
-            if lease := self._clients.session(session).lease:
-                self._agent.hover("its client stopped it", lease)
+        number = int(message["data"])
+        if number < 0:  # by anybody, as a STOP
+            self._agent.hover(f"{session.name} stopped it", self._clients.session(session).lease)
         elif number == 5:
-            await self._activate(session)
+            await self._activate(session, message)
         elif number == 6:
             await self._tell_version(session)
         else:
@@ -207,6 +196,10 @@ class Node2015:
         if now - self._version_sent_at >= _VERSION_PAUSE:
             self._version_sent_at = now
             self._agent.note(text)
+
+
+def _is_byte(message: Message, *numbers: int) -> bool:
+    return math.isfinite(message["data"]) and _byte(message["data"]) in numbers
 
 
 def _byte(data: float) -> int:

@@ -11,6 +11,7 @@ import pytest
 
 from m100link.apps.agent.server.server import AgentServer
 from m100link.apps.agent.transports import memory_channels
+from m100link.apps.station.ros.graph import never
 from tests.apps.station.conftest import FakeClient, Rig
 
 pytestmark = pytest.mark.anyio
@@ -176,3 +177,166 @@ async def test_stop_waits_behind_no_other_calls_of_its_client(rig: Rig) -> None:
     await anyio.sleep(0.5)
     assert rig.agent.holding.pattern is None
     assert client.answers()[-1] == {"success": True, "message": ""}
+
+
+ENDING: tuple[tuple[str, dict[str, Any]], ...] = (
+    ("/m100link/stop", {}),
+    ("/m100link/lease", {"action": "release", "token": ""}),
+    ("/dji_sdk/sdk_control_authority", {"control_enable": 0}),
+    ("/dji_sdk/sdk_permission_control", {"control_enable": 0}),
+    ("/dji_sdk/drone_task_control", {"task": 6}),
+    ("/dji_sdk/drone_task_control", {"task": 1}),
+    ("/dji_sdk/drone_arm_control", {"arm": 0}),
+    ("/dji_sdk/mission_waypoint_action", {"action": 1}),
+    ("/dji_sdk/mission_waypoint_action", {"action": 2}),
+    ("/dji_sdk/mission_hotpoint_action", {"action": 1}),
+    ("/dji_sdk/mission_hotpoint_action", {"action": 2}),
+    ("/dji_sdk/mission_pause", {"pause": 0}),
+    ("/dji_sdk/mission_cancel", {}),
+    ("/nav_open_close_request", {"data": 0.0}),
+    ("/sdk_request_cmd", {"data": 6.0}),
+    ("/sdk_request_cmd", {"data": 1.0}),
+    ("/sdk_request_simple_task", {"data": -1.0}),
+    ("/sdk_request_ctrl", {"x": 0.0, "y": 0.0, "z": 0.0, "w": 0.0}),
+    ("/dji_sdk/drone_task_action/goal", {"goal": {"task": 2}}),
+    ("/dji_sdk/drone_task_action/goal", {"goal": {"task": 3}}),
+    ("/dji_sdk/drone_task_action/cancel", {}),
+    ("/dji_sdk/local_position_navigation_action/cancel", {}),
+    ("/dji_sdk/global_position_navigation_action/cancel", {}),
+    ("/dji_sdk/waypoint_navigation_action/cancel", {}),
+    ("/dji_sdk_web_groundstation/web_waypoint_receive_action/cancel", {}),
+    ("/dji_sdk_web_groundstation/map_nav_srv/ctrl", {"data": False}),
+    ("/dji_sdk_web_groundstation/map_nav_srv/cmd", {"cmdCode": 99, "tid": 7}),
+)
+"""What stops, lands or gives control back, by hand from the pages of DJI's nodes."""
+
+MOVING: tuple[tuple[str, dict[str, Any]], ...] = (
+    ("/m100link/lease", {"action": "acquire"}),
+    ("/dji_sdk/sdk_control_authority", {"control_enable": 1}),
+    ("/dji_sdk/drone_task_control", {"task": 4}),
+    ("/dji_sdk/drone_arm_control", {"arm": 1}),
+    ("/dji_sdk/mission_waypoint_action", {"action": 0}),
+    ("/dji_sdk/mission_waypoint_action", {"action": 3}),
+    ("/dji_sdk/mission_pause", {"pause": 1}),
+    ("/nav_open_close_request", {"data": 1.0}),
+    ("/sdk_request_cmd", {"data": 4.0}),
+    ("/sdk_request_simple_task", {"data": -0.5}),
+    ("/sdk_request_simple_task", {"data": 1.0}),
+    ("/sdk_request_ctrl", {"x": 0.0, "y": 1.0, "z": 0.0, "w": 0.0}),
+    ("/dji_sdk/drone_task_action/goal", {"goal": {"task": 1}}),
+    ("/dji_sdk_web_groundstation/map_nav_srv/ctrl", {"data": True}),
+    ("/dji_sdk_web_groundstation/map_nav_srv/cmd", {"cmdCode": 115, "tid": 7}),
+)
+
+
+def say(rig: Rig, client: FakeClient, name: str, message: dict[str, Any]) -> None:
+    if name in rig.graph.services:
+        client.call(name, **message)
+    else:
+        client.send("publish", topic=name, msg=message)
+
+
+def flooded(rig: Rig) -> FakeClient:
+    """A client that has used up all that it may: frames, calls without an answer, orders."""
+    if "/never" not in rig.graph.services:
+        rig.graph.add_service("/never", "std_srvs/Trigger", lambda call: None)
+    client = rig.client("flood")
+    for _ in range(20):
+        client.call("/never")
+        client.send("publish", topic="/sdk_request_cmd", msg={"data": 4.0})
+    for _ in range(450):
+        client.send("publish", topic="/sdk_request_ctrl", msg={"x": 1.0})
+    client.read()
+    client.inbox.clear()
+    return client
+
+
+@pytest.mark.slow
+async def test_no_limit_of_frames_drops_what_ends_a_flight(rig: Rig) -> None:
+    """A client that floods is heard when it stops, lands or lets go, and with nothing else."""
+    for name, message in (*ENDING, *MOVING):
+        client = flooded(rig)
+        refused = client.session.refused
+        say(rig, client, name, message)
+        is_dropped = client.session.refused > refused
+        assert is_dropped is ((name, message) in MOVING), (name, message)
+        client.leave()
+
+
+@pytest.mark.slow
+async def test_no_limit_of_calls_or_orders_refuses_what_ends_a_flight(rig: Rig) -> None:
+    """Without control, in which a client may order as often as it likes."""
+    for name, message in (*ENDING, *MOVING):
+        client = flooded(rig)
+        await anyio.sleep(1.1)
+        for _ in range(20):
+            client.send("publish", topic="/sdk_request_cmd", msg={"data": 4.0})
+        await anyio.sleep(0.1)
+        client.read()
+        client.inbox.clear()
+        say(rig, client, name, message)
+        await anyio.sleep(1.1)
+        said = str(client.read())
+        is_refused = any(one in said for one in ("more than", "more orders", "calls wait"))
+        if (name, message) in ENDING:
+            assert not is_refused, (name, message, said)
+        elif name in rig.graph.services:
+            assert is_refused, (name, message, said)
+        client.leave()
+
+
+async def test_the_table_of_what_ends_a_flight_is_whole(rig: Rig) -> None:
+    """A topic or service that ends something is in the table, and nothing else in it ends."""
+    ends = {one.name for one in rig.graph.all_topics() if one.ends is not never}
+    ends |= {one.name for one in rig.graph.services.values() if one.ends is not never}
+    assert ends == {name for name, _ in ENDING}
+
+
+async def test_a_client_that_floods_stops_what_it_flies(rig: Rig) -> None:
+    client = await rig.airborne("page")
+    client.publish("/sdk_request_simple_task", data=1)
+    await rig.until(lambda: rig.agent.holding.pattern is not None)
+    for _ in range(500):
+        client.send("publish", topic="/sdk_request_ctrl_mode", msg={"data": 1.0})
+    client.call("/m100link/stop")
+    await anyio.sleep(0.5)
+    assert rig.agent.holding.pattern is None
+
+
+async def test_a_simple_task_of_minus_one_needs_no_control(rig: Rig) -> None:
+    """DJI's page has it as its stop: whoever presses it, the aircraft hovers."""
+    client = await rig.airborne("page")
+    client.publish("/sdk_request_simple_task", data=1)
+    await rig.until(lambda: rig.agent.holding.pattern is not None)
+    rig.client("other").publish("/sdk_request_simple_task", data=-1)
+    await anyio.sleep(0.5)
+    assert rig.agent.holding.pattern is None
+    assert any("other stopped it" in one.text for one in rig.agent.journal.events)
+
+
+async def test_a_cancel_finds_its_goal_behind_any_number_of_refused_ones(rig: Rig) -> None:
+    client = await rig.airborne("page")
+    action = "/dji_sdk/local_position_navigation_action"
+    goal = {"x": 50.0, "y": 0.0, "z": 5.0}
+    client.send("publish", topic=f"{action}/goal", msg={"goal_id": {"id": "far"}, "goal": goal})
+    await rig.until(lambda: rig.aircraft.vehicle.flight.dynamics.speed > 1.0)
+    for name in range(3):
+        stranger = rig.client(f"stranger {name}")
+        for _ in range(30):
+            stranger.send("publish", topic=f"{action}/goal", msg={"goal": goal})
+    # A stranger's goal that was admitted has replaced it, and was refused for want of control.
+    client.send("publish", topic=f"{action}/goal", msg={"goal_id": {"id": "far"}, "goal": goal})
+    await rig.until(lambda: rig.aircraft.vehicle.flight.dynamics.speed > 1.0)
+    for _ in range(30):
+        stranger.send("publish", topic=f"{action}/goal", msg={"goal": goal})
+    client.send("publish", topic=f"{action}/cancel", msg={"id": "far"})
+    await anyio.sleep(3.0)
+    assert rig.aircraft.vehicle.flight.dynamics.speed < 0.3
+
+
+async def test_a_cancel_without_a_goal_is_answered(rig: Rig) -> None:
+    client = rig.client("page")
+    client.send("set_level", level="warning")
+    action = "/dji_sdk/local_position_navigation_action"
+    client.send("publish", topic=f"{action}/cancel", msg={"id": "none"})
+    assert f"{action}: no such goal is active, nothing was cancelled" in client.statuses()

@@ -719,7 +719,7 @@ ORDERED: list[tuple[str, float, list[Order], dict[str, float]]] = [
     ("/sdk_request_simple_task", 3, [orders.FlyPattern(3)], {}),
     ("/sdk_request_simple_task", 5, [orders.Activate()], {}),
     ("/sdk_request_simple_task", 6, [orders.AskVersion()], {}),
-    ("/sdk_request_simple_task", -1, [orders.Halt("its client stopped it")], {}),
+    ("/sdk_request_simple_task", -1, [orders.Halt("page stopped it")], {}),
 ]
 
 
