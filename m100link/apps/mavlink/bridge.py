@@ -26,6 +26,7 @@ from m100link.apps.mavlink.translator.codec import (
     MessageReader,
     PacketSigner,
     Peer,
+    ending_command,
     write_frame,
 )
 from m100link.apps.mavlink.translator.numbers import AUTOPILOT_PX4
@@ -162,6 +163,8 @@ class Bridge:
         # whose rest is longer while nothing waits.
         self._shares: dict[Address | None, int] = {None: _READ_PER_STEP}
         self._shared_at = -STEP_S
+        # Datagrams beyond a share that may end a flight: they wait for the next one.
+        self._held: dict[tuple[Address, tuple[int, ...]], bytes] = {}
         self.dropped = 0  # datagrams that were not read because too many came
         self.unsent = 0  # messages with a number that does not fit
         self._ran_at = self._clock()
@@ -177,17 +180,30 @@ class Bridge:
         self._share_out(now)
         sender = address if address in self._shares else None
         if len(data) > self._shares[sender]:
-            self.dropped += 1
+            self._hold(data, address, now)
             return
-        most = self._shares[sender]
+        self._read(data, address, now)
+        self._flush(now)
+        self._hurry()
+
+    def _hold(self, data: bytes, address: Address, now: float) -> None:
+        """Drop it, but for the newest of each command of a peer that may end a flight."""
+        key = ending_command(data)
+        if key and key[2] in self._ours and self.peers.knows(Peer(address, *key[:2]), now):
+            self._held.pop((address, key), None)
+            self._held[address, key] = data
+        else:
+            self.dropped += 1
+
+    def _read(self, data: bytes, address: Address, now: float) -> None:
+        sender = address if address in self._shares else None
+        most = max(self._shares[sender], len(data))
         signed_at = signature_time() if self._signer is not None else 0
         reading = MessageReader(data, signer=self._signer, now=signed_at, most=most)
         for message in reading:
             self._shares[sender] -= _MESSAGE_COST
             self._take(message, Peer(address, message.system, message.component), now)
         self._shares[sender] -= reading.checked + len(data) // _SKIPPED
-        self._flush(now)
-        self._hurry()
 
     def _take(self, message: MavlinkMessage, peer: Peer, now: float) -> None:
         if message.system in self._ours:
@@ -204,6 +220,9 @@ class Bridge:
             self._shared_at = now
             senders = {None, *self.peers.audience(now)}
             self._shares = dict.fromkeys(senders, _READ_PER_STEP // len(senders))
+            held, self._held = self._held, {}
+            for (address, _), data in held.items():
+                self._read(data, address, now)
 
     def _stood_still(self, now: float) -> bool:
         """Forget what was sent while this process was stopped: nobody waits for it any more."""
@@ -218,6 +237,7 @@ class Bridge:
     def step(self) -> None:
         now = self._clock()
         self._stood_still(now)
+        self._share_out(now)
         audience = self.peers.audience(now)
         for craft in self._crafts:
             if craft.sequences.keys() != audience.keys():

@@ -25,7 +25,7 @@ from m100link.apps.mavlink.translator.commands import COMMANDS
 from m100link.apps.mavlink.translator.numbers import MavCommand, MavResult
 from m100link.apps.mavlink.translator.parameters import PARAMETERS
 from m100link.apps.mavlink.translator.route import ITEMS
-from m100link.apps.mavlink.translator.vehicle_state import Mode
+from m100link.apps.mavlink.translator.vehicle_state import MODES, Mode
 from tests.apps.mavlink.conftest import Ground, Rig
 
 pytestmark = pytest.mark.anyio
@@ -287,6 +287,67 @@ async def test_a_flood_from_one_address_does_not_keep_others_out(
     assert ground.last("COMMAND_ACK")["command"] == MavCommand.NAV_LAND
     assert ground.last("COMMAND_ACK")["result"] == MavResult.ACCEPTED
     assert rig.bridge.dropped > 200
+
+
+NAN = math.nan
+ENDING: tuple[tuple[int, tuple[float, ...]], ...] = (
+    (MavCommand.NAV_LAND, ()),
+    (MavCommand.NAV_RETURN_TO_LAUNCH, ()),
+    (MavCommand.COMPONENT_ARM_DISARM, (0,)),
+    (MavCommand.DO_SET_MODE, (1, MODES[Mode.HOLD].main, MODES[Mode.HOLD].sub)),
+    (MavCommand.DO_SET_MODE, (1, MODES[Mode.LAND].main, MODES[Mode.LAND].sub)),
+    (MavCommand.DO_SET_STANDARD_MODE, (MODES[Mode.RTL].standard,)),
+    (MavCommand.DO_PAUSE_CONTINUE, (0,)),
+    (MavCommand.DO_REPOSITION, (NAN, NAN, NAN, NAN, NAN, NAN, NAN)),
+)
+"""Commands that stop, land or give control back: COMMANDS has no others."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("is_signed", [False, True])
+async def test_a_peer_that_floods_is_heard_when_it_ends_a_flight(is_signed: bool) -> None:
+    signer = PacketSigner(bytes(range(32))) if is_signed else None
+    async with Rig(signer=signer).running() as rig:
+        ground = rig.ground
+        if is_signed:
+            rig.ground_signer = PacketSigner(bytes(range(32)), sent=2**47)
+            await anyio.sleep(1.5)  # in which its heartbeat is signed, too
+        await ground.fly(4.0)
+        for command, parameters in ENDING:
+            for target in (0, 1):
+                await anyio.sleep(0.1)
+                ground.heard.clear()
+                for _ in range(1000):
+                    ground.send("MANUAL_CONTROL", target=1)
+                    ground.command(MavCommand.GET_HOME_POSITION)
+                ground.command(command, *parameters, target=target)
+                ground.command(MavCommand.REQUEST_MESSAGE, 0)
+                await anyio.sleep(0.1)
+                answered = {one["command"] for one in ground.all("COMMAND_ACK")}
+                assert command in answered, (command, parameters, target)
+                assert MavCommand.REQUEST_MESSAGE not in answered
+
+
+async def test_of_those_behind_one_address_nobody_replaces_what_another_asked_for(
+    rig: Rig, ground: Ground
+) -> None:
+    """As behind a router; SET_MODE of older programs counts, too."""
+    await ground.fly(4.0)
+    other, stranger = (Ground(rig, ground.address, system) for system in (100, 101))
+    other.beat()
+    stranger.is_silent = True
+    await anyio.sleep(0.1)
+    for _ in range(1000):
+        ground.send("MANUAL_CONTROL", target=1)
+    land = MODES[Mode.LAND].number
+    ground.send("SET_MODE", custom_mode=land, target_system=1, base_mode=1)
+    dropped = rig.bridge.dropped
+    other.send("SET_MODE", custom_mode=0, target_system=1, base_mode=0)
+    for number in range(2, 100):
+        stranger.command(MavCommand.NAV_LAND, target=1)
+        other.command(MavCommand.NAV_LAND, target=number)
+    assert rig.bridge.dropped == dropped + 2 * 98
+    await rig.until(lambda: ground.mode is Mode.LAND, within=1.0)
 
 
 async def test_noise_between_the_commands_of_a_peer_costs_it_none(rig: Rig, ground: Ground) -> None:

@@ -24,6 +24,7 @@ from zlib import crc32
 
 import crcmod
 
+from m100link.apps.mavlink.translator.numbers import MavCommand
 from m100link.errors.texts import read_json
 
 DEFINITIONS = """
@@ -385,6 +386,35 @@ class MessageReader:
                 return
             # A byte looked like a start and was none: the next one may be one.
             start = _START.search(data, found.end or at + 1)
+
+
+# Where the sender, the number and the payload of a frame begin, by its first byte.
+_PLACES = {_V2: (5, 7, _HEADER_V2.size), _V1: (3, 5, _HEADER_V1.size)}
+_LONGEST_COMMAND = 64  # bytes of a datagram with one command and its signature
+_ENDING = frozenset(
+    (
+        *(MavCommand.NAV_LAND, MavCommand.NAV_RETURN_TO_LAUNCH, MavCommand.COMPONENT_ARM_DISARM),
+        *(MavCommand.DO_SET_MODE, MavCommand.DO_SET_STANDARD_MODE),
+        *(MavCommand.DO_PAUSE_CONTINUE, MavCommand.DO_REPOSITION),
+    )
+)
+
+
+def ending_command(data: bytes) -> tuple[int, int, int, int] | None:
+    """System, component, target and number of a command that may end a flight; None of any other.
+
+    Nothing is read or checked: it costs less than a microsecond, in a flood as well.
+    """
+    if not 17 <= len(data) <= _LONGEST_COMMAND or data[0] not in _PLACES:
+        return None
+    sender, number, begin = _PLACES[data[0]]
+    payload = data[begin : begin + data[1]].ljust(32, b"\0")  # zeros at its end are left out
+    command = int.from_bytes(payload[28:30], "little")
+    if data[number] == 11:  # SET_MODE
+        return data[sender], data[sender + 1], payload[4], MavCommand.DO_SET_MODE
+    if data[number] in (75, 76) and command in _ENDING:
+        return data[sender], data[sender + 1], payload[30], command
+    return None
 
 
 class _Found(NamedTuple):
