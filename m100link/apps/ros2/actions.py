@@ -109,9 +109,8 @@ class Actions:
             ends.serve(f"{inner}/send_goal", f"{kind}_SendGoal", self._sending(action))
             result = f"{kind}_GetResult"
             ends.serve(f"{inner}/get_result", result, self._result, at_once=_MOST_WAITING)
-            ends.serve(
-                f"{inner}/cancel_goal", "action_msgs/srv/CancelGoal", self._canceling(action)
-            )
+            cancel, kind = self._canceling(action), "action_msgs/srv/CancelGoal"
+            ends.serve(f"{inner}/cancel_goal", kind, cancel, ends=orders.Halt)
 
     # -- services --------------------------------------------------------------------------------
 

@@ -205,6 +205,8 @@ class RosControl:
         self.session = ControlSession(agent, "ROS 2", TERMS)
         self.mux = SetpointMux()  # whose setpoints fly
         self.goal = ""  # what flies by itself for a program; empty for nothing
+        # Tasks that have not begun, and when each was asked for: to ask again asks for the same one.
+        self._tasks: dict[orders.Order, tuple[asyncio.Task[Any], float]] = {}
 
     async def obtain(self) -> None:
         """Take the lease and obtain control authority. Raises as :meth:`ControlSession.obtain`."""
@@ -228,8 +230,14 @@ class RosControl:
         else:
             self._agent.hover(f"{task.label} was requested", lease)
         # A STOP from now on overtakes each step.
-        at = self._agent.now
-        await self._agent.background.begin(partial(self._flown, at, task), task.label)
+        agent, at = self._agent, self._agent.now
+        before, asked_at = self._tasks.get(task, (None, at))
+        if before is None or before.done() or asked_at <= agent.stopped_at:
+            before = agent.background.spawn(
+                agent.background.begin(partial(self._flown, at, task), task.label), task.label
+            )
+            self._tasks[task] = before, at
+        await asyncio.shield(before)
 
     async def _flown(self, asked_at: float, task: orders.Order, begun: asyncio.Event) -> None:
         try:

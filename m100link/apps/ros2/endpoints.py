@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from m100link.apps.agent.background import TaskSet
+from m100link.apps.agent.orders import AfterStop, Order
 from m100link.apps.bus.network import Held, Inbox, Outlet, PolledBus, Question, Received
 from m100link.apps.ros2 import graph
 from m100link.errors import M100Error
@@ -22,8 +23,7 @@ from m100link.log.cdr import DEFINITIONS, SERVICES, decode, describe, encode, fu
 _DEPTH = 8  # messages of a topic, and requests to a service, that wait for a step
 
 _AT_ONCE = 8
-"""Requests to one service that are carried out at once: nobody is kept from landing by those who
-wait for something else."""
+"""Requests to one service that are carried out at once, but for those that end something."""
 
 Call = Callable[[dict[str, Any]], Awaitable[Mapping[str, Any]]]
 """Answers a request; one of which it raises an M100Error has no answer."""
@@ -80,7 +80,7 @@ class _Service:
     requests: Inbox[Question]  # what was asked
     call: Call
     at_once: int  # how many requests are carried out at once
-    stops: bool  # whether it ends a flight: however old a request is
+    ends: type[Order] | None  # the order by which it ends something
     calls: int = 0  # how many are
 
 
@@ -122,12 +122,18 @@ class Endpoints:
         return made
 
     def serve(
-        self, topic: str, kind: str, call: Call, *, at_once: int = _AT_ONCE, stops: bool = False
+        self,
+        topic: str,
+        kind: str,
+        call: Call,
+        *,
+        at_once: int = _AT_ONCE,
+        ends: type[Order] | None = None,
     ) -> None:
-        """Offer a service; requests beyond so many at once are not answered."""
+        """Offer a service; requests beyond so many at once are not answered, unless it ends."""
         key = graph.data_key(self._name.domain, topic, kind)
         requests = self._bus.questions(key, _DEPTH)
-        self._services.append(_Service(topic, kind, key, requests, call, at_once, stops))
+        self._services.append(_Service(topic, kind, key, requests, call, at_once, ends))
         self._show(graph.EntityKind.SERVER, topic, kind, graph.Qos())
 
     @property
@@ -139,18 +145,23 @@ class Endpoints:
             topic.look()
 
     def take_requests(self, *, is_deaf: bool) -> None:
-        """Begin to answer what was asked since; to the deaf what comes now is old, but for STOP."""
+        """Begin to answer what was asked since; to the deaf what comes now is old.
+
+        It is done all the same where that is done behind any STOP, too.
+        """
         for service in self._services:
             for request in service.requests.take():
                 self._take(service, request, is_deaf)
 
     def _take(self, service: _Service, request: Question, is_deaf: bool) -> None:
+        ends = service.ends
         try:
             if request.key != service.key:
                 raise ValueError("a wildcard would take off, land and disarm at once")
             attachment = graph.read_attachment(request.attachment)
             message = decode(f"{service.kind}_Request", request.payload)
-            if (is_deaf and not service.stops) or service.calls >= service.at_once:
+            is_late = is_deaf and (ends is None or ends.after_stop is not AfterStop.DONE)
+            if is_late or (ends is None and service.calls >= service.at_once):
                 raise ValueError("too late, or too many")
         except ValueError:
             self.refused += 1

@@ -101,8 +101,8 @@ class Node:
         self._inputs = [(name, inputs[name], make) for name, make in takes.items()]
         self._payload = GimbalServices(agent, self.control, inputs["~/gimbal_speed"], self._tell)
         for name, call in (self._calls() | MissionServices(self.control).calls()).items():
-            kind, stops = SERVICES[name].kind, name == "~/stop"
-            self.ends.serve(names.full(name), kind, call, stops=stops)
+            row = SERVICES[name]
+            self.ends.serve(names.full(name), row.kind, call, ends=row.ends)
         self.actions = Actions(
             agent,
             self.control,

@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 
+from m100link.apps.agent import orders
 from m100link.apps.ros2.graph import Qos
 from m100link.log.cdr import encode
 from m100link.log.ros2 import DJI_TOPICS, DjiTopic, Stamp
@@ -90,6 +91,7 @@ class Taken:
 
     kind: str
     text: str  # what it does, for the manual
+    ends: type[orders.Order] | None = None  # the order by which it ends something
 
 
 INPUTS: Mapping[str, Taken] = {
@@ -115,14 +117,18 @@ _TRIGGER = "std_srvs/srv/Trigger"
 
 SERVICES: Mapping[str, Taken] = {
     "~/obtain_control": Taken(_TRIGGER, "take the lease, activate, obtain control authority"),
-    "~/release_control": Taken(_TRIGGER, "give both back: the aircraft hovers, the pilot flies"),
+    "~/release_control": Taken(
+        _TRIGGER, "give both back: the aircraft hovers, the pilot flies", orders.Release
+    ),
     "~/takeoff": Taken(_TRIGGER, "start the motors and climb to about 1.2 m"),
-    "~/land": Taken(_TRIGGER, "land in place; control is given back on the ground"),
-    "~/go_home": Taken(_TRIGGER, "fly to the home point and land there"),
+    "~/land": Taken(_TRIGGER, "land in place; control is given back on the ground", orders.Land),
+    "~/go_home": Taken(_TRIGGER, "fly to the home point and land there", orders.GoHome),
     "~/arm": Taken(_TRIGGER, "start the motors on the ground"),
-    "~/disarm": Taken(_TRIGGER, "stop the motors on the ground"),
+    "~/disarm": Taken(_TRIGGER, "stop the motors on the ground", orders.StopMotors),
     "~/stop": Taken(
-        _TRIGGER, "stop everything, for any client; setpoints fly again after ~/obtain_control"
+        _TRIGGER,
+        "stop everything, for any client; setpoints fly again after ~/obtain_control",
+        orders.Stop,
     ),
     "~/take_photo": Taken(_TRIGGER, "take a photograph; unconfirmed"),
     "~/start_video": Taken(_TRIGGER, "start video; unconfirmed"),
@@ -136,9 +142,9 @@ SERVICES: Mapping[str, Taken] = {
     "~/mission/start": Taken(
         "m100_msgs/srv/StartMission", "upload the plan to the aircraft, which flies it by itself"
     ),
-    "~/mission/pause": Taken(_TRIGGER, "pause the mission in a hover"),
+    "~/mission/pause": Taken(_TRIGGER, "pause the mission in a hover", orders.PauseMission),
     "~/mission/resume": Taken(_TRIGGER, "resume the mission"),
-    "~/mission/stop": Taken(_TRIGGER, "end the mission: the aircraft hovers"),
+    "~/mission/stop": Taken(_TRIGGER, "end the mission: the aircraft hovers", orders.StopMission),
 }
 """By name."""
 

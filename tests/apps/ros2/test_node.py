@@ -14,6 +14,7 @@ from typing import Any
 import anyio
 import pytest
 
+from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.lease import Lease
 from m100link.apps.agent.orders import Obtain
@@ -22,7 +23,7 @@ from m100link.apps.bus.network import Question, Received, TokenChange
 from m100link.apps.ros2.control import IDLE_S
 from m100link.apps.ros2.graph import EntityKind, Names, NodeName, data_key, read_token
 from m100link.apps.ros2.topics import INPUTS, OUTPUTS, SERVICES
-from m100link.errors import M100Error
+from m100link.errors import M100Error, TaskRefused
 from m100link.log.cdr import encode
 from m100link.protocol.setpoint import Setpoint
 from tests.apps.ros2.conftest import Program, Rig
@@ -309,6 +310,101 @@ async def test_a_stop_that_came_while_it_stood_still_is_done(rig: Rig, program: 
     assert (await program.call("~/stop"))["success"]
     await rig.until(lambda: not rig.agent.holding.has_authority)
     assert rig.agent.holding.task is None
+
+
+# What ends something, and is done when it comes from before a standstill of the node, too.
+ENDING = {
+    **dict.fromkeys(("~/land", "~/go_home"), False),
+    **dict.fromkeys(("~/stop", "~/release_control", "~/disarm"), True),
+    **dict.fromkeys(("~/mission/pause", "~/mission/stop"), True),
+    **{f"~/{name}/_action/cancel_goal": True for name in ("take_off", "fly_to", "fly_mission")},
+}
+
+
+@pytest.mark.slow
+async def test_what_ends_a_flight_waits_behind_no_number_of_requests(
+    rig: Rig, program: Program, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Calls that get no answer, such as STOP while the aircraft confirms nothing."""
+    begun: list[str] = []
+    for service in rig.node.ends._services:
+
+        async def hang(_: object, topic: str = service.topic) -> Any:
+            begun.append(topic)
+            await anyio.sleep_forever()
+
+        monkeypatch.setattr(service, "call", hang)
+    nobody = {"goal_id": {"uuid": [0] * 16}, "stamp": {"sec": 0, "nanosec": 0}}
+    cancel = "action_msgs/srv/CancelGoal"
+    requests = {"std_srvs/srv/Trigger": {}, cancel: {"goal_info": nobody}}
+    names = {rig.names.full(name): name for name in (*ENDING, *SERVICES)}
+    for service in rig.node.ends._services:
+        if service.topic not in names or service.kind not in requests:
+            continue
+        name, request = (
+            names[service.topic],
+            encode(f"{service.kind}_Request", requests[service.kind]),
+        )
+
+        def ask(key: str = service.key, request: bytes = request) -> None:
+            asked = Question(key, request, print, lambda: None, program.attachment())
+            rig.bus.inboxes[key].waiting.append(asked)
+
+        begun.clear()
+        for _ in range(10):
+            for _ in range(3):
+                ask()
+            await anyio.sleep(0.1)
+        count = 30 if name in ENDING else 8
+        assert len(begun) == count, name
+        rig.node._ran_at -= 5.0  # as after SIGSTOP and SIGCONT
+        ask()
+        await anyio.sleep(0.1)
+        assert len(begun) == count + ENDING.get(name, False), name
+        await anyio.sleep(0.5)
+
+
+async def test_a_landing_that_is_asked_for_again_and_again_is_one(
+    rig: Rig, program: Program, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    await program.up()
+    asked: list[orders.Order] = []
+    ask = rig.client.ask
+
+    async def refused(order: orders.Order, *rest: Any, **more: Any) -> Any:
+        asked.append(order)
+        if isinstance(order, orders.Land) and len(asked) < 4:
+            raise TaskRefused("not now")
+        return await ask(order, *rest, **more)
+
+    monkeypatch.setattr(rig.client, "ask", refused)
+    async with anyio.create_task_group() as group:
+        for _ in range(8):
+            group.start_soon(program.call, "~/land")
+    assert asked.count(orders.Land()) == 4
+    await rig.until(lambda: rig.height < 0.1)
+
+
+async def test_a_landing_behind_a_stop_is_another_one(
+    rig: Rig, program: Program, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The one before was overtaken by the STOP, and ends with it."""
+    await program.up()
+    with monkeypatch.context() as patched:
+
+        async def never(*_: Any, **__: Any) -> Any:
+            await anyio.sleep_forever()
+
+        patched.setattr(rig.client, "ask", never)
+        async with anyio.create_task_group() as group:
+            group.start_soon(program.call, "~/land")
+            await anyio.sleep(0.2)
+            patched.undo()
+            await rig.agent.stop()
+            await anyio.sleep(0.2)
+            assert (await program.call("~/land"))["success"]
+            group.cancel_scope.cancel()
+    await rig.until(lambda: rig.height < 0.1)
 
 
 async def test_without_telemetry_it_answers_all_the_same(rig: Rig, program: Program) -> None:
