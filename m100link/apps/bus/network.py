@@ -119,8 +119,19 @@ class Bus(Session, Protocol):
         """
         ...
 
-    def serve(self, key: str, take: Callable[[Question], None], *, depth: int = DEPTH) -> Held:
-        """Hear questions; one that is lost or dropped looks to its asker like nobody."""
+    def serve(
+        self,
+        key: str,
+        take: Callable[[Question], None],
+        *,
+        depth: int = DEPTH,
+        is_first: Callable[[Question], bool] = lambda _: False,
+    ) -> Held:
+        """Hear questions; one that is lost or dropped looks to its asker like nobody.
+
+        ``is_first``: what waits behind no other question, and is not lost for one. Called by other
+        threads.
+        """
         ...
 
     async def ask(self, key: str, payload: bytes = b"", *, timeout: float) -> list[QueryAnswer]:
@@ -195,15 +206,20 @@ class ThreadQueue:
     """From threads of zenoh into the event loop."""
 
     def __init__(
-        self, loop: asyncio.AbstractEventLoop, take: Callable[..., None], depth: int
+        self,
+        loop: asyncio.AbstractEventLoop,
+        take: Callable[..., None],
+        depth: int,
+        is_first: Callable[..., bool] = lambda *_: False,  # what waits behind no other
     ) -> None:
-        self._loop, self._take = loop, take
+        self._loop, self._take, self._is_first = loop, take, is_first
         self._waiting: deque[tuple[Any, ...]] = deque(maxlen=depth)
+        self._first: deque[tuple[Any, ...]] = deque(maxlen=depth)
         self._is_due = False
 
     def put(self, *what: Any) -> None:
         """Called by other threads."""
-        self._waiting.append(what)
+        (self._first if self._is_first(*what) else self._waiting).append(what)
         if not self._is_due:
             self._is_due = True
             try:
@@ -215,9 +231,9 @@ class ThreadQueue:
         self._is_due = False
         until = perf_counter() + TURN
         for _ in range(AT_ONCE):
-            if not self._waiting:
+            if not (waiting := self._first or self._waiting):
                 return
-            _do(self._take, *self._waiting.popleft())
+            _do(self._take, *waiting.popleft())
             if perf_counter() >= until:
                 break
         if not self._is_due:

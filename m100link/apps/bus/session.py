@@ -212,9 +212,14 @@ class ZenohBus:
         return network.PollingReader(_Declared(declared), ring, lambda one: take(*one), within)
 
     def serve(
-        self, key: str, take: Callable[[network.Question], None], *, depth: int = network.DEPTH
+        self,
+        key: str,
+        take: Callable[[network.Question], None],
+        *,
+        depth: int = network.DEPTH,
+        is_first: Callable[[network.Question], bool] = lambda _: False,
     ) -> network.Held:
-        queue = network.ThreadQueue(self._loop, take, depth)
+        queue = network.ThreadQueue(self._loop, take, depth, is_first)
 
         def heard(query: zenoh.Query) -> None:
             queue.put(self._question(query))

@@ -127,7 +127,7 @@ class FleetAgent:
             for outlet in (self._event, self._state, self._full, self._wall):
                 hold(outlet)
             for key in (keys.command, keys.lease):
-                hold(bus.serve(key, partial(self._on_order, key)))
+                hold(bus.serve(key, partial(self._on_order, key), is_first=payloads.ends))
             hold(bus.serve(keys.status(), self._on_status))
             hold(bus.serve(keys.state, self._on_state))
             hold(bus.serve(keys.mission, self._on_mission, depth=_MOST_WAITING))

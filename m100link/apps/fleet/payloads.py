@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import hmac
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import Enum
@@ -25,6 +26,7 @@ from m100link.apps.agent.codec import Fields, InvalidValue, decode, encode, pars
 from m100link.apps.agent.lease import Lease, LeaseHeld, LeaseRefused
 from m100link.apps.agent.messages import Message, MessageError, RemoteError, Steer, fault_of
 from m100link.apps.agent.orders import Right
+from m100link.apps.bus.network import Question
 
 # -- what became of an order: six answers, and none of them is silence -----------------------------
 
@@ -295,6 +297,16 @@ class OrderMessage:
         made = replace(self, **seals)  # type: ignore[arg-type]  # both are bytes
         vars(made)["document"] = document or self.document
         return made
+
+
+_ENDING = "|".join(name for name, kind in orders.ORDERS.items() if kind.ends)
+_ENDS = re.compile(rf'"order":\{{"kind":"(?:LeaveShow|{_ENDING})"'.encode())
+_SHORT = 2048  # bytes of an order that is looked at
+
+
+def ends(question: Question) -> bool:
+    """Whether it looks like an order that ends something: nobody has read or verified it."""
+    return len(question.payload) <= _SHORT and _ENDS.search(question.payload) is not None
 
 
 class ShowStage(Enum):

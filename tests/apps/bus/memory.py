@@ -282,8 +282,15 @@ class MemoryBus:
 
         return self.network.add("subscribe", self, pattern, heard)
 
-    def serve(self, key: str, take: Callable[[Question], None], *, depth: int = DEPTH) -> Held:
-        """Hear questions."""
+    def serve(
+        self,
+        key: str,
+        take: Callable[[Question], None],
+        *,
+        depth: int = DEPTH,
+        is_first: Callable[[Question], bool] = lambda _: False,
+    ) -> Held:
+        """Hear questions; none waits here."""
         return self.network.add("serve", self, key, take)
 
     def inbox(self, pattern: str, depth: int) -> Inbox[Received]:

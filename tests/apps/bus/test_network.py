@@ -197,6 +197,15 @@ async def test_of_too_much_in_a_queue_the_oldest_is_lost() -> None:
     assert found == [0, 1, 2, 5, 6, 7, 8, 9]
 
 
+async def test_what_is_first_waits_behind_no_flood_and_is_not_lost_for_one() -> None:
+    found: list[int] = []
+    queue = ThreadQueue(asyncio.get_running_loop(), found.append, 5, lambda one: one < 0)
+    for number in (1, 2, -1, *range(3, 100), -2):
+        queue.put(number)
+    await anyio.sleep(0.1)
+    assert found == [-1, -2, 95, 96, 97, 98, 99]
+
+
 @pytest.mark.parametrize("cost", [0.004, 0.006, 1.0])
 async def test_what_is_dear_to_read_leaves_turns_to_others(
     monkeypatch: pytest.MonkeyPatch, cost: float

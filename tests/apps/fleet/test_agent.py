@@ -6,6 +6,7 @@ import uuid
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
+from typing import Any
 
 import anyio
 import pytest
@@ -16,6 +17,7 @@ from m100link.apps.agent.lease import Lease
 from m100link.apps.agent.messages import Event, Steer, Telemetry
 from m100link.apps.agent.orders import FlyTo
 from m100link.apps.agent.transports import memory_channels
+from m100link.apps.bus.network import Held
 from m100link.apps.fleet.agent import FleetAgent
 from m100link.apps.fleet.expiry import Dropped
 from m100link.apps.fleet.keys import Keys
@@ -34,6 +36,7 @@ from m100link.apps.fleet.payloads import (
     Progress,
     TakePlace,
     What,
+    ends,
     pack,
     pack_steer,
     unpack,
@@ -46,6 +49,7 @@ from m100link.missions.plan import Waypoint, WaypointPlan
 from m100link.protocol.setpoint import Setpoint
 from m100link.sim.virtual import VirtualAircraft
 from tests.apps.agent.conftest import hears_late
+from tests.apps.bus.memory import MemoryBus
 from tests.apps.fleet.conftest import SITE, OnBoard, Rig, with_camera
 from tests.apps.fleet.logs.conftest import AtOnce
 from tests.apps.fleet.test_payloads import BOTH, OLD_ORDERS
@@ -597,3 +601,27 @@ async def test_an_order_from_before_a_stop_that_is_not_heard_yet_moves_nothing(
     for _ in range(40):
         await anyio.sleep(0.1)
         assert one.speed < 0.3
+
+
+async def test_what_ends_a_flight_waits_behind_no_other_question(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By every key under which an aircraft is stopped, landed, or let go."""
+    first: dict[str, object] = {}
+    serve = MemoryBus.serve
+
+    def served(bus: MemoryBus, key: str, take: Any, **more: Any) -> Held:
+        first[key] = more.get("is_first")
+        return serve(bus, key, take, **more)
+
+    monkeypatch.setattr(MemoryBus, "serve", served)
+    one = await rig.served("a1")
+    show = ShowService(one.client, one.bus, Keys(SITE, "a1"))
+    one.agent.background.spawn(show.run(), "show")
+    await anyio.sleep(0.1)
+    keys = Keys(SITE, "a1")
+    assert {key for key, said in first.items() if said is ends} == {
+        keys.command,
+        keys.lease,
+        keys.show,
+    }

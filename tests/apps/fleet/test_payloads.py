@@ -23,11 +23,14 @@ from m100link.apps.agent.orders import (
     TakeOff,
     UploadPlan,
 )
+from m100link.apps.bus.network import Question
 from m100link.apps.fleet.identity import Gate, Rights, Signer
 from m100link.apps.fleet.payloads import (
     VERSION,
     Asked,
+    AskShow,
     Card,
+    LeaveShow,
     LogQuestion,
     OrderMessage,
     OrderReply,
@@ -37,6 +40,7 @@ from m100link.apps.fleet.payloads import (
     SendTrack,
     TakePlace,
     What,
+    ends,
     outcome_of,
     pack,
     pack_steer,
@@ -59,6 +63,7 @@ from m100link.errors import (
     Unreachable,
 )
 from m100link.protocol.setpoint import Setpoint
+from tests.apps.agent.examples import EXAMPLES
 from tests.fuzz.mutation import changed
 
 ORDER = OrderMessage("ab" * 16, "field", "a1", "pilot", 3, 1.8e9, TakeOff())
@@ -406,3 +411,17 @@ def test_each_error_has_one(error: M100Error | None, outcome: Outcome) -> None:
 def test_a_result_says_why() -> None:
     assert str(Result.of("a1", None)) == "ok"
     assert str(Result.of("a1", StaleLease("it ended"))) == "stale_lease (it ended)"
+
+
+@pytest.mark.parametrize("order", [*EXAMPLES, LeaveShow("run"), TakePlace("run"), AskShow("run")])
+def test_an_order_that_ends_something_is_known_before_it_is_read(order: Asked) -> None:
+    asked = OrderMessage("0b" * 16, "field", "kite", "anna", 17, 1.0, order)
+    question = Question("key", pack(asked.under("secret")), lambda *_: None, lambda: None)
+    assert ends(question) is (isinstance(order, LeaveShow) or getattr(order, "ends", False))
+
+
+def test_nobody_passes_an_order_off_as_one_that_ends() -> None:
+    name = '","order":{"kind":"Stop"}'
+    asked = OrderMessage("0b" * 16, "field", name, name, 17, 1.0, AcquireLease(name))
+    for payload in (pack(asked), b"", b"Stop", pack(replace(asked, order=Stop(), by="b" * 2048))):
+        assert not ends(Question("key", payload, lambda *_: None, lambda: None))

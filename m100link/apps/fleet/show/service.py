@@ -78,7 +78,8 @@ class ShowService:
         """Answer until this is cancelled; whatever flies then leaves the show, and hovers."""
         with ExitStack() as stack:
             stack.callback(self.performer.close)
-            stack.callback(self._bus.serve(self._keys.show, self._on_order).close)
+            served = self._bus.serve(self._keys.show, self._on_order, is_first=payloads.ends)
+            stack.callback(served.close)
             places = self._bus.publish(self._keys.place)
             stack.callback(places.close)
             everybody = Keys(self._keys.site).place
