@@ -59,6 +59,8 @@ SPEED_M_S = 2.0
 PINGED_WITHIN_S = 5.0
 """A ping each 2 s, and 3 s for its answer."""
 OTHER = "the other"
+FLOOD = 800
+"""Setpoints in one moment: twice as many as rosbridge takes, three times as many as MAVLink."""
 
 
 class Sample(NamedTuple):
@@ -118,6 +120,12 @@ class Front(ABC):
     async def hang(self) -> None:
         """The user's program stands still: it says nothing, and its socket stays open."""
         self.is_there = False
+
+    async def flood(self) -> None:
+        """A program that lost its rate says all this in one moment, and then stops."""
+        for _ in range(FLOOD):
+            self.send()
+        await self.stop()
 
     def let_go(self) -> None:
         """Keys are let go, or the program pauses."""

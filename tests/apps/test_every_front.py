@@ -49,6 +49,7 @@ class Event(Enum):
 
     STOP = "STOP at this front"
     STOP_ELSEWHERE = "STOP at another front"
+    FLOOD = "STOP at this front, behind more of its own messages than it may send"
     LAND = "this front lands it"
     TAKE_OVER = "another client takes the lease over"
     LEAVE_F = "the pilot leaves F and is back after 2 s"
@@ -133,6 +134,17 @@ TABLE: dict[Event, dict[type[Front], End | Cannot]] = {
         FarConsole: End(H, BRAKES, FRONT, f"STOP was pressed, and {PAD_HELD}", "let go"),
         Performer: End(H, BRAKES, NOBODY, "a1 left: a1 was stopped"),
         Sync: Cannot("a program without an agent is the only one at its line"),
+    },
+    # As Event.STOP, whatever a front drops of the rest.
+    Event.FLOOD: {
+        Console: End(H, BRAKES, FRONT, f"STOP was pressed, and {PAD_HELD}", "let go"),
+        Rosbridge: End(H, BRAKES, FRONT, "STOP was pressed", "control"),
+        Mavlink: End(H, BRAKES, FRONT, "is in HOLD", "control"),
+        Ros2: End(H, BRAKES, FRONT, r"it was stopped: call ~/obtain_control", "control"),
+        FleetPilot: End(H, BRAKES, FRONT, "STOP was pressed; setpoints that go on", "control"),
+        FarConsole: End(H, BRAKES, FRONT, f"STOP was pressed, and {PAD_HELD}", "let go"),
+        Performer: Cannot("its conductor sends no stream"),
+        Sync: Cannot("there is no way between a program and its own control"),
     },
     Event.LAND: {
         Console: End(L, LANDED, FRONT, "a setpoint was sent during land; nothing was sent"),
@@ -442,6 +454,9 @@ class Cells:
 
     async def test_stop_elsewhere(self) -> None:
         await self.judge(Event.STOP_ELSEWHERE)
+
+    async def test_flood(self) -> None:
+        await self.judge(Event.FLOOD)
 
     async def test_land(self) -> None:
         await self.judge(Event.LAND)
