@@ -10,6 +10,7 @@ from typing import Any, cast
 import anyio
 import pytest
 
+from m100link.apps.agent.control_session import ControlSession
 from m100link.apps.fleet.client import Fleet
 from m100link.apps.fleet.expiry import Dropped
 from m100link.apps.fleet.lost_link import (
@@ -65,6 +66,23 @@ async def test_lands_or_goes_home_when_that_is_configured(rig: Rig, action: Lost
     rig.join(pilot)
     await anyio.sleep(10.0)
     assert one.height < 0.1
+
+
+async def test_a_landing_in_which_the_agent_fails_is_begun_again(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one, land = await rig.aircraft("a1", lost=LostLinkPlan("land", 1.0)), ControlSession.bring_down
+    fails = [MemoryError(), None]
+
+    async def bring_down(*args: Any) -> None:
+        if error := fails.pop(0):
+            raise error
+        await land(*args)
+
+    monkeypatch.setattr(ControlSession, "bring_down", bring_down)
+    await lose_the_pilot(rig, one)
+    await rig.until(lambda: one.height < 0.1)
+    assert not fails
 
 
 async def test_a_client_that_takes_control_meanwhile_keeps_it(rig: Rig) -> None:

@@ -225,16 +225,18 @@ class ActiveFlight:
         def send(setpoint: Setpoint) -> None:
             self._send(setpoint, SETPOINT_LIFETIME)
 
-        outcome, level = f"{name} is done", "info"
+        outcome, level = f"{name} ended: the agent failed", "error"
         try:
             self._journal.note(f"{name} begins")
             await fly(self._control, send)
+            outcome, level = f"{name} is done", "info"
         except M100Error as error:
-            outcome, level = f"{name} ended: {error.seen}", "error"
-        # A setpoint that was refused has ended the program already, and said so.
-        if self._pattern is not None and self._pattern[1] is asyncio.current_task():
-            self._pattern = None
-            self._journal.note(outcome, level)
+            outcome = f"{name} ended: {error.seen}"
+        finally:
+            # A setpoint that was refused has ended the program already, and said so.
+            if self._pattern is not None and self._pattern[1] is asyncio.current_task():
+                self._pattern = None
+                self._journal.note(outcome, level)
 
     def _end_program(self, why: str, *, hovers: bool = True) -> None:
         self.guiding.end(why, hovers=hovers)

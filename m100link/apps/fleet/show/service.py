@@ -10,6 +10,7 @@ import asyncio
 from collections.abc import Callable
 from contextlib import ExitStack
 
+from m100link.apps.agent.background import goes_on
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.messages import MessageError
 from m100link.apps.bus.network import Bus, Question
@@ -86,10 +87,12 @@ class ShowService:
             stack.callback(self._bus.subscribe(everybody, self._on_place).close)
             stack.callback(self._beside.hear(self._hear))
             while True:
-                ahead = self.performer.ahead()
-                if ahead is not None:
-                    self._beside.tell(ahead)
-                    places.put(bytes([payloads.VERSION]) + ahead.to_bytes())
+                # Whatever fails here: the track is flown by another task, which sees to that.
+                with goes_on("the telling of its place"):
+                    ahead = self.performer.ahead()
+                    if ahead is not None:
+                        self._beside.tell(ahead)
+                        places.put(bytes([payloads.VERSION]) + ahead.to_bytes())
                 await asyncio.sleep(_TELL_S)
 
     def shut_out(self, revoked: Since) -> None:

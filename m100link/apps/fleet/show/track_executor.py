@@ -245,13 +245,20 @@ class TrackExecutor:
             try:
                 await work()
             except M100Error as error:
-                self.fault, self.stage = error, ShowStage.LEFT
-                self._client.note(f"show: {error.seen}", "error")
-                await self._end()
+                await self._leave_for(error)
+            except Exception:
+                # Whatever failed: in its stage it would count as flying its track.
+                await self._leave_for(M100Error(f"the agent of {self._name} failed in the show"))
+                raise
 
         if self._work is not None:
             self._work.cancel()
         self._work = self._client.background.spawn(guarded(), "show")
+
+    async def _leave_for(self, error: M100Error) -> None:
+        self.fault, self.stage = error, ShowStage.LEFT
+        self._client.note(f"show: {error.seen}", "error")
+        await self._end()
 
     async def _place(self, who: str, asked_at: float) -> None:
         client, track = self._client, self._loaded()

@@ -102,6 +102,18 @@ async def test_a_program_whose_setpoint_is_refused_ends_with_the_reason(rig: Rig
     assert "500" in ends[0]
 
 
+async def test_a_program_that_fails_is_over(rig: Rig) -> None:
+    async def fails(control: Control, send: Callable[[Setpoint], None]) -> None:
+        send(EAST)
+        raise MemoryError
+
+    await airborne(rig)
+    rig.holding.require().start_pattern("east", fails)
+    await anyio.sleep(0.5)
+    assert (rig.holding.pattern, east(rig)) == (None, 0.0)
+    assert rig.agent.journal.events[-1].text == "east ended: the agent failed"
+
+
 async def test_a_refused_setpoint_stops_what_flew_before(rig: Rig) -> None:
     await airborne(rig)
     rig.agent.steer(rig.token, EAST, 1.0)

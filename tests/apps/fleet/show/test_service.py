@@ -277,3 +277,17 @@ async def test_two_that_one_process_serves_hear_each_other(asked: Conductor) -> 
 async def test_what_is_too_long_for_a_piece_is_not_read(asked: Conductor) -> None:
     long = replace(an_order(AskShow(""), 9, 0.0), by="x" * 4096)
     assert await asked.bus.ask(f"m100/{SITE}/a1/show", pack(long), timeout=1.0) == []
+
+
+async def test_a_place_that_cannot_be_told_ends_no_service(
+    asked: Conductor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its end would take the aircraft out of this show and, in silence, out of all later ones."""
+
+    def fail() -> None:
+        raise MemoryError
+
+    monkeypatch.setattr(asked.service.performer, "ahead", fail)
+    await anyio.sleep(1.0)
+    assert (await asked.order(AskShow(""))).outcome is Outcome.OK
+    assert not asked.running.done()

@@ -19,7 +19,13 @@ from m100link.apps.fleet.payloads import (
     StartShow,
     TakePlace,
 )
-from m100link.apps.fleet.show.plan.steering import MOST_EARLY_S, LeftShow, ShowRefused, Why
+from m100link.apps.fleet.show.plan.steering import (
+    MOST_EARLY_S,
+    LeftShow,
+    ShowRefused,
+    TrackSteering,
+    Why,
+)
 from m100link.apps.fleet.show.plan.track import BadShow
 from m100link.apps.fleet.show.track_executor import ALLOWED, ATTENDED_S, Leave, TrackExecutor
 from m100link.errors import AuthorityLost, M100Error, NoAuthority, TelemetryStalled, UsageError
@@ -406,3 +412,24 @@ async def test_a_stop_that_is_not_heard_yet_ends_the_steps_to_its_place(
     assert stand.one.height < 2.0
     assert not has_begun(agent, "change of height")
     assert performer.stage is LEFT
+
+
+@pytest.mark.parametrize(
+    ("kind", "name"), [(TrackExecutor, "_take_place"), (TrackSteering, "step")]
+)
+async def test_an_agent_that_fails_in_the_show_leaves_it(
+    stand: Stand, monkeypatch: pytest.MonkeyPatch, kind: type[object], name: str
+) -> None:
+    """In its stage it would count as flying its track, for its conductor and its neighbours."""
+
+    def fail(*_: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr(kind, name, fail)
+    performer = await stand.to(FLYING if name == "step" else LOADED)
+    if name != "step":
+        performer.place("anna", asked_at=0.0)
+    await stand.rig.until(lambda: performer.stage is LEFT)
+    assert performer.fault is not None
+    assert performer.fault.seen == "the agent of a1 failed in the show"
+    assert not stand.one.agent.holding.has_authority
