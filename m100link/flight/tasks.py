@@ -244,7 +244,9 @@ class _Watch:
     def _is_done(self) -> bool:
         result = self._result
         if result == TaskResultCode.SUCCEEDED:
-            return True
+            # Not against telemetry: some firmware answers about another order.
+            status = known(self._state, FlightStatus)
+            return status is None or status.phase in (None, *_PHASES[self._task, result])
         if result == TaskResultCode.FAILED:
             raise TaskFailed(
                 f"{task_name(self._task)} began and failed",

@@ -122,6 +122,19 @@ async def test_take_off_in_the_air_is_refused_with_the_situation(firmware: str) 
         assert "stopped motors" in error.remedy
 
 
+@pytest.mark.parametrize("task", ["take_off", "land", "go_home"])
+async def test_an_answer_that_it_is_done_does_not_count_against_telemetry(task: str) -> None:
+    async with rig() as flown, flown.aircraft.control() as control:
+        if task != "take_off":
+            await control.take_off()
+        flight, phase = flown.virtual.vehicle.flight, flown.phase
+        with pytest.MonkeyPatch.context() as patched:
+            patched.setattr(flight, "start_task", lambda *_: TaskStartCode.STARTED)
+            patched.setattr(flight.tasks, "query", lambda _: TaskResultCode.SUCCEEDED)
+            with pytest.raises(NotObserved, match=f"not seen done .flight_status {phase.name}"):
+                await getattr(control, task)(timeout=5.0)
+
+
 async def test_landing_on_the_ground_is_refused() -> None:
     async with rig() as flown, flown.aircraft.control() as control:
         with pytest.raises(TaskRefused, match="land was refused"):

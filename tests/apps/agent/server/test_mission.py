@@ -24,6 +24,7 @@ from m100link.flight.missions.events import (
 from m100link.geodesy import LocalFrame
 from m100link.missions.plan import AtEnd, WaypointPlan
 from m100link.missions.waypoint import Waypoint
+from m100link.protocol.codes import MissionCode
 from m100link.protocol.commands.hotpoint import HotpointStart
 from m100link.protocol.records import Device
 from m100link.protocol.setpoint import Setpoint
@@ -207,3 +208,22 @@ async def test_a_stop_ends_the_way_home_whose_client_has_left() -> None:
         await asyncio.sleep(4.0)
         assert rig.aircraft.vehicle.flight.dynamics.speed < STILL_M_S
         assert rig.aircraft.vehicle.authority.device is Device.RC
+
+
+@pytest.mark.anyio
+@pytest.mark.parametrize("flight", FLIGHTS)
+async def test_a_stop_that_the_aircraft_takes_and_does_not_carry_out_is_not_enough(
+    flight: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The ack says ok, and its pushes say that it flies on: control goes back, which ends that."""
+    async with Rig(firmware="3.1").running() as rig:
+        vehicle = rig.aircraft.vehicle
+        await airborne(rig)
+        await FLIGHTS[flight](rig)
+        await asyncio.sleep(13.0)
+        monkeypatch.setattr(vehicle.missions, "stop", lambda _: MissionCode.SUCCESS)
+        assert vehicle.flight.dynamics.speed > STILL_M_S
+        await rig.agent.ask(orders.Stop())
+        await asyncio.sleep(2.0)
+        assert vehicle.flight.dynamics.speed < STILL_M_S
+        assert vehicle.authority.device is Device.RC
