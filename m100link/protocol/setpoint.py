@@ -110,6 +110,9 @@ class _Range(NamedTuple):
     high: float
     unit: str
 
+    def nearest(self, value: float) -> float:
+        return max(self.low, min(self.high, value))
+
 
 _FLOAT32_MAX = (2 - 2**-23) * 2.0**127  # the wire carries no larger number
 
@@ -451,6 +454,29 @@ class ReceivedMove(NamedTuple):
             frame = ReferenceFrame.BODY
         stable = bool(flag & 1) and profile.flag_bit0 is FlagBit0.STABLE_MODE
         return cls(mode, *values, frame=frame, stable=stable)
+
+    def limited(self, profile: FirmwareProfile) -> Setpoint:
+        """The nearest setpoint: tilt, velocities, thrust and yaw rate end at their limits.
+
+        A heading may have any number of turns.
+
+        Raises:
+            BadSetpoint: A value is not finite, a height is negative, or the mode is illegal.
+        """
+        if not all(map(math.isfinite, self[1:5])):
+            return Setpoint(*self)  # which names the value
+        is_tilt = self.mode.horizontal is Horizontal.TILT
+        low, high, unit = LIMITS[self.mode.horizontal]
+        if is_tilt and profile.generation < Generation.V3_1:
+            low, high = -TILT_LIMIT_DEG, TILT_LIMIT_DEG
+        flat = _Range(low, high, unit)
+        x, y = flat.nearest(self.x), flat.nearest(self.y)
+        is_height = self.mode.vertical is Vertical.HEIGHT
+        z = self.z if is_height else VERTICAL_LIMITS[self.mode.vertical].nearest(self.z)
+        is_rate = self.mode.yaw is Yaw.RATE
+        turn = YAW_LIMITS[Yaw.RATE].nearest(self.yaw) if is_rate else self.yaw
+        turn = turn if abs(turn) <= 180 else math.remainder(turn, 360)
+        return Setpoint(self.mode, x, y, z, turn, self.frame, self.stable)
 
 
 @lru_cache(maxsize=64)

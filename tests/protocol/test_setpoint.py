@@ -410,3 +410,30 @@ def test_a_setpoint_is_the_movement_command_that_it_asks_for(name: str) -> None:
                 assert setpoint.encode(firmware) == move.encode(firmware)
                 assert setpoint.value(firmware) == move.value(firmware)
     assert (Setpoint.ADDRESS, Setpoint.ENCRYPTED) == (Move.ADDRESS, Move.ENCRYPTED)
+
+
+@pytest.mark.parametrize(
+    ("name", "flag", "asked", "flown"),
+    [
+        ("3.1", 0x48, (99.0, -99.0, 9.0, -500.0), (10.0, -10.0, 4.0, -100.0)),
+        ("3.1", 0x48, (1.0, -2.0, -9.0, 270.0), (1.0, -2.0, -4.0, 100.0)),
+        ("3.1", 0x02, (45.0, -45.0, 0.0, 190.0), (35.0, -35.0, 0.0, -170.0)),
+        ("2.3", 0x02, (45.0, -31.0, 0.0, -530.0), (30.0, -30.0, 0.0, -170.0)),
+        ("3.1", 0x22, (0.0, 0.0, 130.0, 180.0), (0.0, 0.0, 100.0, 180.0)),
+        ("3.1", 0x22, (0.0, 0.0, -1.0, -180.0), (0.0, 0.0, 0.0, -180.0)),
+        ("3.1", 0x90, (500.0, -500.0, 60.0, 0.0), (500.0, -500.0, 60.0, 0.0)),
+    ],
+)
+def test_values_beyond_the_range_end_at_it(
+    name: str, flag: int, asked: tuple[float, ...], flown: tuple[float, ...]
+) -> None:
+    limited = ReceivedMove.read(Move(flag, *asked), profile(name)).limited(profile(name))
+    assert (limited.x, limited.y, limited.z, limited.yaw) == pytest.approx(flown)
+    assert limited.control_flag(profile(name)) == flag
+
+
+def test_what_is_no_number_or_below_the_ground_has_no_nearest_setpoint() -> None:
+    mode = ControlMode(VELOCITY, HEIGHT, Yaw.RATE)
+    for values in ((math.nan, 0, 1, 0), (0, math.inf, 1, 0), (0, 0, 1, -math.inf), (0, 0, -1, 0)):
+        with pytest.raises(BadSetpoint):
+            ReceivedMove(mode, *values).limited(profile("3.1"))

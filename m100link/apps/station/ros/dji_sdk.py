@@ -40,21 +40,12 @@ from m100link.protocol.commands.gimbal import (
 )
 from m100link.protocol.firmware import FIRMWARE_3_1
 from m100link.protocol.records import Position
-from m100link.protocol.setpoint import Setpoint
 from m100link.telemetry.integrity import has_fix
 from m100link.telemetry.sample import Sample
 from m100link.telemetry.subscription import Newest
 
 _WAY = "way of setpoints"
 _YAW_RATE = 0x08  # in the control flag
-
-
-def joy_setpoint(flag: int, x: float, y: float, z: float, yaw: float) -> Setpoint:
-    """A setpoint from ROS frames, as :func:`m100link.log.ros2.joy_move` has it.
-
-    Raises ``BadSetpoint``: as there, or a value is out of range.
-    """
-    return Setpoint(*joy_move(flag, x, y, z, yaw))
 
 
 class DjiSdk:
@@ -150,8 +141,7 @@ class DjiSdk:
             if len(axes) == 3:
                 # DJI's node reads what lies behind the message, often zeros. The nose stays.
                 flag, axes = flag | _YAW_RATE, [*axes, 0.0]
-            setpoint = joy_setpoint(flag, axes[0], axes[1], axes[2], axes[3])
-            self._clients.session(session).steer(setpoint)
+            self._clients.fly(session, joy_move(flag, *axes[:4]))
         except M100Error as error:
             self._clients.complain(session, error)
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Coroutine
 from functools import partial
+from operator import attrgetter
 from typing import Any
 
 from m100link.apps.agent import orders
@@ -28,6 +29,8 @@ from m100link.apps.station.ros.graph import (
 )
 from m100link.apps.station.ros.messages import Message
 from m100link.errors import CommandRefused, M100Error, UsageError
+from m100link.protocol.firmware import FIRMWARE_3_1, PROFILES, FirmwareProfile
+from m100link.protocol.setpoint import ReceivedMove, Yaw
 
 TASKS: dict[int, orders.Order] = {4: orders.TakeOff(), 6: orders.Land(), 1: orders.GoHome()}
 """What DJI's nodes ask for by the number of a task."""
@@ -104,26 +107,42 @@ class Clients:
         await self.session(call.session).ask(order)
         return {"result": True}
 
+    @property
+    def profile(self) -> FirmwareProfile:
+        """The firmware of the aircraft, as far as it is known."""
+        return PROFILES.get(self._agent.state.firmware, FIRMWARE_3_1)
+
+    def fly(self, client: GraphListener, move: ReceivedMove) -> None:
+        """Fly a movement as far as its limits allow, as an aircraft does; the client hears of it.
+
+        Raises ``M100Error``: as :meth:`ControlSession.steer`, or it is no setpoint.
+        """
+        setpoint = move.limited(self.profile)
+        self.session(client).steer(setpoint)
+        values = attrgetter("x", "y", "z", *(["yaw"] if move.mode.yaw is Yaw.RATE else []))
+        if values(move) != values(setpoint):
+            flown = ", ".join(f"{one:g}" for one in values(setpoint))
+            text = f"a setpoint beyond the limits of the aircraft: {flown} is flown"
+            self._tell(client, "warning", text, f"sent {text}")
+
     def complain(self, client: GraphListener, error: Exception) -> None:
         """Tell a client what is wrong, at most once a second: keys repeat thirty times.
 
         People at the station hear it, too: a client may not listen, or not show it.
         """
-        now = self._agent.now
-        self._note_refusal(client, error)
-        if now - client.data.get(_COMPLAINED_AT, float("-inf")) >= _COMPLAINT_PAUSE:
-            client.data[_COMPLAINED_AT] = now
-            client.status("error", str(error))
+        seen = error.seen if isinstance(error, M100Error) else str(error)
+        self._tell(client, "error", str(error), f"is refused: {seen}")
 
-    def _note_refusal(self, client: GraphListener, error: Exception) -> None:
+    def _tell(self, client: GraphListener, level: str, text: str, note: str) -> None:
         known, now = self._graph.known(client), self._agent.now
         known[_REFUSED] = count = known.get(_REFUSED, 0) + 1
-        if now < known.get(_NOTED_UNTIL, -math.inf) or not self._notes.take(now):
-            return
-        known[_NOTED_UNTIL] = now + _NOTE_PAUSE
-        seen = error.seen if isinstance(error, M100Error) else str(error)
-        more = f" ({count} refused so far)" if count > 1 else ""
-        self._agent.note(f"{client.name} is refused: {seen}{more}", "warning")
+        if now >= known.get(_NOTED_UNTIL, -math.inf) and self._notes.take(now):
+            known[_NOTED_UNTIL] = now + _NOTE_PAUSE
+            more = f" ({count} times so far)" if count > 1 else ""
+            self._agent.note(f"{client.name} {note}{more}", "warning")
+        if now - client.data.get(_COMPLAINED_AT, float("-inf")) >= _COMPLAINT_PAUSE:
+            client.data[_COMPLAINED_AT] = now
+            client.status(level, text)
 
     def admits(self, client: GraphListener) -> bool:
         """Whether the client may order one more thing now; it hears when it may not.

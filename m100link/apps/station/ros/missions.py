@@ -30,6 +30,7 @@ _STATUS_S = 0.25
 _CIRCLE, _LATEST = "hotpoint", "latest upload"
 _MOST_POINTS = 99
 _MOST_ACTIONS = 15  # of the 16 places that the wire has
+_LONGEST_LIMIT_S, _NO_LIMIT = 999, 65535  # of all actions at a point
 _ROS_DEMO_YAW_MODE = 4  # DJI's demo sends it, and means 0
 
 _KINDS = {"no mission": 0, "waypoint mission": 1, "hotpoint": 2, "follow mission": 3, "IOC": 4}
@@ -274,12 +275,17 @@ def _point(index: int, given: Message) -> WaypointPoint:
         gimbal_pitch=given["target_gimbal_pitch"],
         turn_mode=given["turn_mode"],
         has_action=given["has_action"],
-        action_time_limit=given["action_time_limit"],
+        action_time_limit=_time_limit(given["action_time_limit"]),
         action_count=count,
         action_repeat=times,
         actions=actions,
         parameters=parameters,
     )
+
+
+def _time_limit(seconds: int) -> int:
+    """Programs send 64000 for no limit, which is 65535."""
+    return seconds if seconds <= _LONGEST_LIMIT_S else _NO_LIMIT
 
 
 def _actions(given: Message) -> tuple[int, int, tuple[int, ...], tuple[int, ...]]:

@@ -31,9 +31,8 @@ from m100link.apps.station.ros.messages import Message
 from m100link.errors import M100Error, NotObserved, UsageError
 from m100link.log.ros2 import DjiTopic
 from m100link.protocol.commands.control import Move
-from m100link.protocol.firmware import FIRMWARE_3_1, PROFILES
 from m100link.protocol.records import Position
-from m100link.protocol.setpoint import Setpoint
+from m100link.protocol.setpoint import ReceivedMove
 from m100link.telemetry.integrity import has_fix
 from m100link.telemetry.sample import Sample
 
@@ -299,37 +298,36 @@ class Node2016:
         self._clients.offer("version_check", "VersionCheck", self._check_version)
         self._clients.offer("send_data_to_remote_device", "SendDataToRemoteDevice", self._send)
 
-    def _steer(self, make: Callable[[Message], Setpoint], call: ServiceCall) -> None:
+    def _steer(self, make: Callable[[Message], ReceivedMove], call: ServiceCall) -> None:
         """Fly a setpoint for its lifetime; programs call this at 50 Hz."""
         try:
-            self._clients.session(call.session).steer(make(call.request))
+            self._clients.fly(call.session, make(call.request))
         except M100Error as error:
             self._clients.complain(call.session, error)
             call.respond({"result": False})
         else:
             call.respond({"result": True})
 
-    def _setpoint(self, flag: int, x: float, y: float, z: float, yaw: float) -> Setpoint:
-        profile = PROFILES.get(self._agent.state.firmware, FIRMWARE_3_1)
-        return Setpoint.from_move(Move(flag, x, y, z, yaw), profile)
+    def _move(self, flag: int, x: float, y: float, z: float, yaw: float) -> ReceivedMove:
+        return ReceivedMove.read(Move(flag, x, y, z, yaw), self._clients.profile)
 
-    def _raw(self, asked: Message) -> Setpoint:
-        return self._setpoint(asked["flag"], asked["x"], asked["y"], asked["z"], asked["yaw"])
+    def _raw(self, asked: Message) -> ReceivedMove:
+        return self._move(asked["flag"], asked["x"], asked["y"], asked["z"], asked["yaw"])
 
-    def _velocity(self, asked: Message) -> Setpoint:
+    def _velocity(self, asked: Message) -> ReceivedMove:
         flag = GROUND_VELOCITY_FLAG if asked["frame"] else BODY_VELOCITY_FLAG
-        return self._setpoint(flag, asked["vx"], asked["vy"], asked["vz"], asked["yawRate"])
+        return self._move(flag, asked["vx"], asked["vy"], asked["vz"], asked["yawRate"])
 
-    def _to_local(self, asked: Message) -> Setpoint:
+    def _to_local(self, asked: Message) -> ReceivedMove:
         north, east = self._local(self._position())
         offset = (asked["x"] - north, asked["y"] - east)
-        return self._setpoint(POSITION_FLAG, *offset, asked["z"], asked["yaw"])
+        return self._move(POSITION_FLAG, *offset, asked["z"], asked["yaw"])
 
-    def _to_global(self, asked: Message) -> Setpoint:
+    def _to_global(self, asked: Message) -> ReceivedMove:
         position = self._position()
         here = (position.latitude_deg, position.longitude_deg)
         offset = local_of(here, (asked["latitude"], asked["longitude"]))
-        return self._setpoint(POSITION_FLAG, *offset, asked["altitude"], asked["yaw"])
+        return self._move(POSITION_FLAG, *offset, asked["altitude"], asked["yaw"])
 
     def _position(self) -> Position:
         position = self._agent.view.to_steer_by(Position)

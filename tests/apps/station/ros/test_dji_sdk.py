@@ -8,8 +8,8 @@ from typing import Any
 import anyio
 import pytest
 
-from m100link.apps.station.ros.dji_sdk import joy_setpoint
 from m100link.errors import BadSetpoint
+from m100link.log.ros2 import joy_move
 from m100link.protocol.setpoint import ReferenceFrame
 from tests.apps.station.conftest import FakeClient, Rig
 
@@ -182,16 +182,34 @@ async def test_data_of_the_app_and_to_the_app(rig: Rig) -> None:
 
 
 def test_joy_frames() -> None:
-    ground = joy_setpoint(0x48, 1.0, 2.0, 3.0, math.radians(10))
+    ground = joy_move(0x48, 1.0, 2.0, 3.0, math.radians(10))
     assert (ground.x, ground.y, ground.z, ground.yaw) == pytest.approx((2.0, 1.0, 3.0, -10.0))
-    body = joy_setpoint(0x4A, 1.0, 2.0, 3.0, 0.0)
+    body = joy_move(0x4A, 1.0, 2.0, 3.0, 0.0)
     assert (body.frame, body.x, body.y) == (ReferenceFrame.BODY, 1.0, -2.0)
-    tilt = joy_setpoint(0x1A, math.radians(5), math.radians(3), 2.0, 0.0)
+    tilt = joy_move(0x1A, math.radians(5), math.radians(3), 2.0, 0.0)
     assert (tilt.x, tilt.y, tilt.z) == pytest.approx((5.0, -3.0, 2.0))
     for yaw, heading in ((0.0, 90.0), (math.pi / 2, 0.0), (math.pi, -90.0)):
-        assert joy_setpoint(0x90, 0, 0, 5.0, yaw).yaw == pytest.approx(heading)
+        assert joy_move(0x90, 0, 0, 5.0, yaw).yaw == pytest.approx(heading)
     with pytest.raises(BadSetpoint):
-        joy_setpoint(0xC0, 0, 0, 0, 0)
+        joy_move(0xC0, 0, 0, 0, 0)
+
+
+async def test_values_beyond_the_limits_fly_at_them_and_the_client_hears_so(rig: Rig) -> None:
+    page = await rig.airborne()
+    topic = "/dji_sdk/flight_control_setpoint_ENUvelocity_yawrate"
+    page.send("advertise", topic=topic, type="sensor_msgs/Joy")
+    page.send("set_level", level="warning")  # as rosbridge, it tells errors alone by default
+    page.send("publish", topic=topic, msg={"axes": [0.0, 12.0, -5.0, -4.7]})
+    await rig.until(lambda: bool(rig.moves), within=1.0)
+    move = rig.moves[0]  # 12 m/s north is 10, 5 m/s down is 4, 269 °/s clockwise is 100
+    sent = (move.roll_or_x, move.pitch_or_y, move.throttle_or_z, move.yaw)
+    assert sent == pytest.approx((10.0, 0.0, -4.0, 100.0))
+    told = "a setpoint beyond the limits of the aircraft: 10, 0, -4, 100 is flown"
+    assert page.statuses() == [told]
+    assert any(entry.text == f"page sent {told}" for entry in rig.agent.journal.events)
+    page.call("/dji_sdk/attitude_control", flag=0x4A, x=2.0, y=0.0, z=9.0, yaw=0.0)
+    await rig.until(lambda: rig.moves[-1].throttle_or_z == 4.0, within=1.0)
+    assert page.answers()[-1] == {"result": True}
 
 
 async def test_setpoints_that_waited_on_their_way_are_not_flown(rig: Rig) -> None:

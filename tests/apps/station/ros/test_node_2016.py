@@ -281,6 +281,11 @@ STEERED: list[tuple[str, dict[str, Any], tuple[float, ...]]] = [
         {"frame": 0, "vx": 1.5, "vy": -2.5, "vz": 0.5, "yawRate": -20.0},
         (0x4B, 1.5, -2.5, 0.5, -20.0),
     ),
+    (  # beyond the limits: as far as they go
+        "velocity_control",
+        {"frame": 1, "vx": 10.5, "vy": -12.0, "vz": 4.5, "yawRate": 120.0},
+        (0x49, 10.0, -10.0, 4.0, 100.0),
+    ),
     # The aircraft is 30 m south and 70 m east of the origin: 5 m less, and 3 m more to the east.
     (
         "local_position_control",
@@ -318,10 +323,8 @@ def test_a_setpoint_service_is_flown_as_the_wire_has_it(
 @pytest.mark.parametrize(
     ("service", "request_"),
     [
-        ("attitude_control", {"flag": 0x40, "x": 10.5}),
         ("attitude_control", {"flag": 0xC0}),
         ("attitude_control", {"flag": 0x40, "x": None}),
-        ("velocity_control", {"vz": 4.5}),
         ("local_position_control", {"z": -1.0}),
     ],
 )

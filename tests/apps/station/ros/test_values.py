@@ -511,17 +511,30 @@ def test_a_joy_is_flown_with_its_signs_in_its_frame(
 
 
 @pytest.mark.parametrize(
+    ("name", "axes", "expected"),
+    [
+        ("ENUvelocity_yawrate", [10.5, 2.0, 0.5, 0.5], (0x48, 2.0, 10.0, 0.5, CLOCKWISE)),
+        ("ENUvelocity_yawrate", [1.0, -10.5, 0.5, 0.5], (0x48, -10.0, 1.0, 0.5, CLOCKWISE)),
+        ("ENUvelocity_yawrate", [1.0, 2.0, 4.5, 0.5], (0x48, 2.0, 1.0, 4.0, CLOCKWISE)),
+        ("ENUvelocity_yawrate", [1.0, 2.0, 0.5, 1.8], (0x48, 2.0, 1.0, 0.5, -100.0)),  # rad/s
+        ("rollpitch_yawrate_zposition", [0.7, 0.1, 2.0, 0.0], (0x1A, 35.0, -5.72958, 2.0, 0.0)),
+    ],
+)
+def test_a_joy_beyond_the_limits_is_flown_at_them(
+    name: str, axes: list[float], expected: tuple[float, ...]
+) -> None:
+    [steer], _ = flown(f"/dji_sdk/flight_control_setpoint_{name}", {"axes": axes})
+    found = struct.unpack("<B4f", steer.setpoint.value(FIRMWARE_3_1))
+    assert found == pytest.approx(expected, abs=1e-4)
+
+
+@pytest.mark.parametrize(
     ("name", "axes"),
     [
         ("ENUvelocity_yawrate", [1.0, 2.0]),
         ("ENUposition_yaw", []),
         (GENERIC, [1.0, 2.0, 0.5]),
-        ("ENUvelocity_yawrate", [10.5, 2.0, 0.5, 0.5]),
-        ("ENUvelocity_yawrate", [1.0, -10.5, 0.5, 0.5]),
-        ("ENUvelocity_yawrate", [1.0, 2.0, 4.5, 0.5]),
-        ("ENUvelocity_yawrate", [1.0, 2.0, 0.5, 1.8]),  # rad/s: more than 100 °/s
         ("ENUposition_yaw", [1.0, 2.0, -0.5, 0.5]),
-        ("rollpitch_yawrate_zposition", [0.7, 0.1, 2.0, 0.5]),  # rad: more than 35°
         (GENERIC, [1.0, 2.0, 0.5, 0.5]),
         (GENERIC, [1.0, 2.0, 0.5, 0.5, 0x4C]),  # bit 2 names no frame
         (GENERIC, [1.0, 2.0, 0.5, 0.5, 0x4E]),
@@ -910,6 +923,14 @@ def test_waypoints_are_uploaded_as_they_are() -> None:
     assert first[27:] == (2500, 0, 0, 0, -60, -25, *[0] * 10)
     assert (second[0], third[0], second[7]) == (1, 2, 0)
     assert second[1] == pytest.approx(math.radians(-33.25), abs=1e-12)
+
+
+# Programs that flew a real M100 send 64000 s; 65535 is no limit.
+@pytest.mark.parametrize(("asked", "sent"), [(999, 999), (1000, 65535), (64000, 65535)])
+def test_a_time_limit_that_firmware_does_not_take_is_none(asked: int, sent: int) -> None:
+    task = TASK | {"mission_waypoint": [waypoint(action_time_limit=asked), waypoint()]}
+    [upload], _ = asks(("mission_waypoint_upload", {"waypoint_task": task}))
+    assert struct.unpack(POINT, upload.order.points[0])[9] == sent
 
 
 # DJI's nodes of 2016 send the runs as action_repeat, and always 15 actions.
