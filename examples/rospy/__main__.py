@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
 
+from rospy_stand_in.launch import LaunchError, command_of, run_launch
 from rospy_stand_in.packages import run_program
 
 
@@ -14,7 +15,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(
         prog="python examples/rospy",
         usage="%(prog)s [--station ws://…] [--workspace FOLDER] program.py [argument …]",
-        description="Run a Python program for ROS 1 unmodified, without ROS, on a station.",
+        description="Run a Python program for ROS 1 unmodified, without ROS, on a station; or the "
+        "Python programs that a launch file (*.launch) starts.",
         epilog="The arguments of the program may be remappings (a:=b), parameters (_rate:=50) and "
         "__ns:=/name. A token that the station asks for is in M100LINK_TOKEN.",
         allow_abbrev=False,
@@ -39,6 +41,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
         parser.error(f"{program} is no file: name the program itself")
     if find_spec("websockets") is None:
         parser.error("it needs websockets: pip install '.[station]' in a clone of m100link")
+    if program.suffix in (".launch", ".xml"):
+        own = ["--station", options.station] if options.station else []
+        own += ["--workspace", str(options.workspace)] if options.workspace else []
+        try:
+            raise SystemExit(run_launch(program, rest[1:], command_of(own)))
+        except LaunchError as error:
+            parser.error(str(error))
     run_program(program, rest[1:], address=options.station, workspace=options.workspace)
 
 

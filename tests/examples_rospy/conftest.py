@@ -38,6 +38,9 @@ class Programs:
     async def begin(self, source: str, *arguments: str) -> asyncio.subprocess.Process:
         program = self.folder / "program.py"
         program.write_text(textwrap.dedent(source), encoding="utf-8")
+        return await self.begin_file(program, *arguments)
+
+    async def begin_file(self, program: Path, *arguments: str) -> asyncio.subprocess.Process:
         own = (*arguments, "--station", self.address)
         command = ("-u", str(EXAMPLE), str(program), *own)
         return await asyncio.create_subprocess_exec(
@@ -50,7 +53,13 @@ class Programs:
 
     async def run(self, source: str, *arguments: str, status: int = 0) -> list[str]:
         """The lines that a program prints; what else it says, when it ends otherwise."""
-        process = await self.begin(source, *arguments)
+        return await self._end(await self.begin(source, *arguments), status)
+
+    async def run_file(self, program: Path, *arguments: str, status: int = 0) -> list[str]:
+        """The same of a file that is there."""
+        return await self._end(await self.begin_file(program, *arguments), status)
+
+    async def _end(self, process: asyncio.subprocess.Process, status: int) -> list[str]:
         async with asyncio.timeout(PATIENCE):
             out, error = await process.communicate()
         assert process.returncode == status, error.decode()

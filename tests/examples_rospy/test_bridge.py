@@ -27,6 +27,7 @@ class Played:
     def __init__(self, answer: Answer) -> None:
         self.heard: list[dict[str, Any]] = []
         self.headers: list[str] = []
+        self.level = ""  # of statuses that the client wants
         self._answer = answer
 
     def __call__(self, socket: ServerConnection) -> None:
@@ -36,6 +37,8 @@ class Played:
             message = json.loads(frame)
             if message.get("service") == "/rosapi/topics":
                 respond(socket, message, TOPICS)
+            elif message["op"] == "set_level":
+                self.level = message["level"]
             else:
                 self.heard.append(message)
                 self._answer(socket, message)
@@ -112,7 +115,7 @@ def test_topics_of_the_program_never_reach_the_station() -> None:
         bridge.subscribe("/own", "std_msgs/String", heard.append)
         bridge.publish("/own", {"data": "a"})
         until(lambda: heard == [{"data": "a"}])
-        assert played.heard == []
+        assert (played.heard, played.level) == ([], "warning")
         bridge.close()
 
 

@@ -65,6 +65,23 @@ async def test_a_program_with_djis_helper_flies(tmp_path: Path) -> None:
         assert not one.station.agent.holding.has_authority
 
 
+async def test_a_goal_is_flown_to_its_end_after_the_program_as_by_djis_node(tmp_path: Path) -> None:
+    program = """
+        from dji_sdk.dji_drone import DJIDrone
+        drone = DJIDrone()
+        drone.request_sdk_permission_control()
+        drone.takeoff()
+        while drone.flight_status.data != 3 or drone.local_position.z < 1.0:
+            pass
+        drone.local_position_navigation_send_request(0, 0, 4)
+    """
+    async with programs(tmp_path) as one:
+        said = await one.run(program)
+        assert "the program has ended, its goal has not: Ctrl-C stops the aircraft" in said[-1]
+        assert one.aircraft.height == pytest.approx(4.0, abs=1.0)
+        assert not one.station.agent.holding.has_authority
+
+
 async def test_djis_own_helper_is_taken_where_it_lies(tmp_path: Path) -> None:
     helper = tmp_path / "dji_sdk/src/dji_sdk"
     helper.mkdir(parents=True)

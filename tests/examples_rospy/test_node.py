@@ -231,8 +231,16 @@ def test_parameters_are_those_that_were_set(fresh: Any) -> None:
     node.delete_param("/pid/p")
     assert not node.has_param("pid/p")
     assert node.get_param("pid/p", 7) == 7
-    with pytest.raises(KeyError, match="_p:=value"):
+    with pytest.raises(KeyError, match="_name:=value"):
         node.get_param("~p")
+    node.set_param("/a", {"b": {"c": 1, "d": [2]}, "e": "f"})
+    assert (node.get_param("/a/b/c"), node.get_param("/a/b")) == (1, {"c": 1, "d": [2]})
+    node.set_param("/a/b", 3)
+    assert node.get_param("/a") == {"b": 3, "e": "f"}
+    node.delete_param("/a")
+    assert not node.has_param("/a/e")
+    with pytest.raises(KeyError):
+        node.delete_param("/a")
 
 
 def test_a_shutdown_runs_its_hooks_once_and_ends_every_wait(fresh: Any) -> None:

@@ -91,6 +91,7 @@ class SimpleActionClient:
             self._state, self._text = message.status.status, message.status.text
             self._result, self._is_done = message.result, True
             self._over.notify_all()
+        node.note_goal(self.ns, is_under_way=False)
         self._call("done", self._state, self._result)
 
     def _call(self, name: str, *values: Any) -> None:
@@ -125,6 +126,7 @@ class SimpleActionClient:
             self._identity, self._result, self._is_done = identity, None, False
             self._state, self._text = GoalStateNames.PENDING, ""
         self._goals.publish(message)
+        node.note_goal(self.ns, is_under_way=True)
 
     def send_goal_and_wait(
         self, goal: Any, execute_timeout: Any = None, preempt_timeout: Any = None

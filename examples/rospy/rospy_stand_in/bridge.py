@@ -90,6 +90,7 @@ class RosbridgeClient:
         self._socket = self._stack.enter_context(_connected(self.address, token))
         for work in (self._read, self._send_pending):
             threading.Thread(target=work, name=f"rosbridge {work.__name__}", daemon=True).start()
+        self._send_in_turn({"op": "set_level", "level": "warning"})
         listed = self.call("/rosapi/topics", {})
         #: Topics of the station, and their types.
         self.topics: Mapping[str, str] = dict(zip(listed["topics"], listed["types"], strict=True))

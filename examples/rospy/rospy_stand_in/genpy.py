@@ -332,6 +332,8 @@ def _written_scalar(kind: str, value: Any) -> Any:
         return value.decode() if isinstance(value, bytes) else _checked(value, str)
     if kind == "bool":
         return bool(value)
+    if hasattr(value, "item"):  # of numpy, where a matrix of one element is a number
+        value = value.item()
     if kind in ("float32", "float64"):
         number = float(value)
         return number if math.isfinite(number) else None

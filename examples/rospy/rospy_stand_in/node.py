@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import atexit
+import json
 import os
 import re
 import signal
@@ -11,6 +12,8 @@ import threading
 import time
 import traceback
 from collections.abc import Callable, Iterator
+from importlib import import_module
+from importlib.util import find_spec
 from types import SimpleNamespace
 from typing import Any
 
@@ -31,6 +34,7 @@ DEBUG, INFO, WARN, ERROR, FATAL = 1, 2, 4, 8, 16
 _NAMES = {DEBUG: "DEBUG", INFO: "INFO", WARN: "WARN", ERROR: "ERROR", FATAL: "FATAL"}
 _STEP_S = 0.05  # of a wait that a shutdown ends
 _REMAPPING = re.compile(r"^[~/\w]+:=")
+PARAMETERS = "M100LINK_ROSPY_PARAMETERS"  # names and values as JSON, in the environment
 _PATIENCE_S = 3.0  # of a wait for what does not exist, before the person hears of it
 
 
@@ -54,6 +58,14 @@ class ROSInternalException(ROSException):
     """The client library itself has failed."""
 
 
+class ROSTimeMovedBackwardsException(ROSInterruptException):
+    """Time of a simulation began anew, which it does not do here."""
+
+
+class TransportException(ROSInternalException):
+    """A connection between nodes has failed."""
+
+
 class ServiceException(Exception):
     """A service refused, failed, or is not there."""
 
@@ -72,6 +84,7 @@ class _Node:
         self.parameters: dict[str, Any] = {}
         self.services: dict[str, Callable[[RosMessage], Any]] = {}
         self.is_initialised = self.is_over = self._is_ending = False
+        self.goals: set[str] = set()  # of action servers of the station, under way
         self.level = INFO
         self.lock = threading.RLock()
         self._hooks: list[Callable[[], Any]] = []
@@ -125,8 +138,26 @@ _node = _Node()
 
 
 def configure(address: str, token: str) -> None:
-    """Where the station is; before the program runs."""
+    """Where the station is; before the program runs. A launch file has set its parameters."""
     _node.address, _node.token = address, token
+    for name, value in json.loads(os.environ.get(PARAMETERS, "{}")).items():
+        set_param(name, value)
+
+
+def note_goal(name: str, *, is_under_way: bool) -> None:
+    """Whether an action server has a goal of this program that is under way."""
+    if is_under_way and _node.connected().is_of_station(f"{name}/goal"):
+        _node.goals.add(name)
+    else:
+        _node.goals.discard(name)
+
+
+def wait_for_goals() -> None:
+    """Stay while a goal of the program is under way: in ROS it goes on without the program."""
+    if _node.goals and not _node.is_over:
+        loginfo("the program has ended, its goal has not: Ctrl-C stops the aircraft")
+    while _node.goals and not _node.is_over:
+        time.sleep(_STEP_S)
 
 
 def init_node(
@@ -156,7 +187,7 @@ def init_node(
         if before.startswith("__"):
             special[before] = after
         elif before.startswith("_"):
-            private[before[1:]] = _value_of(after)
+            private[before[1:]] = value_of(after)
         else:
             _node.remaps[before] = after
     _node.namespace = "/" + special.get("__ns", os.environ.get("ROS_NAMESPACE", "")).strip("/")
@@ -180,7 +211,14 @@ def _on_signal(number: int, frame: object) -> None:
     raise SystemExit(128 + number)
 
 
-def _value_of(text: str) -> Any:
+def value_of(text: str) -> Any:
+    """As rospy reads it: YAML, where PyYAML is there."""
+    if find_spec("yaml") is not None:
+        yaml = import_module("yaml")
+        try:
+            return yaml.safe_load(text)
+        except yaml.YAMLError:
+            return text
     for kind in (int, float):
         try:
             return kind(text)
@@ -583,20 +621,37 @@ def get_param(param_name: str, default: Any = _NO_DEFAULT) -> Any:
     name = resolve_name(param_name)
     if name in _node.parameters:
         return _node.parameters[name]
-    inner = {
-        key[len(name) :].strip("/"): value
-        for key, value in _node.parameters.items()
-        if key.startswith(name.rstrip("/") + "/")
-    }
-    if inner:
-        return inner
+    below: dict[str, Any] = {}
+    for key in _below(name):
+        *inner, last = key[len(name) :].strip("/").split("/")
+        place = below
+        for one in inner:
+            place = place.setdefault(one, {})
+        place[last] = _node.parameters[key]
+    if below:
+        return below
     if default is _NO_DEFAULT:
-        raise KeyError(f"{param_name} is not set: give it as _{param_name.lstrip('~')}:=value")
+        raise KeyError(
+            f"{param_name} is not set: give ~name as _name:=value, others in a launch file"
+        )
     return default
 
 
+def _below(name: str) -> list[str]:
+    """The parameters in a namespace."""
+    return [key for key in _node.parameters if key.startswith(name.rstrip("/") + "/")]
+
+
 def set_param(param_name: str, value: Any) -> None:
-    _node.parameters[resolve_name(param_name)] = value
+    """A dict is a namespace, as on a parameter server."""
+    name = resolve_name(param_name)
+    for key in (name, *_below(name)):
+        _node.parameters.pop(key, None)
+    if not isinstance(value, dict):
+        _node.parameters[name] = value
+        return
+    for key, inner in value.items():
+        set_param(f"{name}/{key}", inner)
 
 
 def has_param(param_name: str) -> bool:
@@ -604,7 +659,9 @@ def has_param(param_name: str) -> bool:
 
 
 def delete_param(param_name: str) -> None:
-    del _node.parameters[resolve_name(param_name)]
+    """Raises KeyError: it is not set."""
+    get_param(param_name)
+    set_param(param_name, {})
 
 
 def search_param(param_name: str) -> str | None:

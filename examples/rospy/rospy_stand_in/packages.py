@@ -17,7 +17,7 @@ import sys
 import time
 import traceback
 import types
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -28,9 +28,11 @@ from m100link.apps.station.ros.messages import (
     ServiceType,
     action_types,
     message_type,
+    types_of,
 )
-from rospy_stand_in import actionlib, dji_drone, genpy, node, python2, transformations
+from rospy_stand_in import dji_drone, node, python2
 from rospy_stand_in.genpy import message_class, service_class
+from rospy_stand_in.modules import FOLDERS, MADE, ROS_PACKAGES, copied
 
 _DEPTH = 3  # folders below a workspace in which packages are looked for
 _UP = 4  # folders above a program, one of which may be its package
@@ -54,7 +56,8 @@ def run_program(
     program = program.resolve()
     source = program.read_text(encoding="utf-8", errors="surrogateescape")
     is_old = python2.is_python2(source)
-    folders = packages_of(program) if workspace is None else packages_in(workspace)
+    folders = packages_of(program, workspace)
+    FOLDERS.update(folders)
     read_types(folders)
     finder = Finder(folders, program.parent, is_old=is_old)
     sys.meta_path.insert(0, finder)
@@ -75,9 +78,12 @@ def run_program(
     code = python2.compiled(source, str(program), is_old=is_old)
     try:
         exec(code, main.__dict__)
+        node.wait_for_goals()
     except Exception as error:  # noqa: BLE001 - whatever the program raises
         error.__traceback__ = _of_program(error.__traceback__, str(program))
         traceback.print_exception(error)
+        if isinstance(error, ModuleNotFoundError) and error.name:
+            sys.stderr.write(f"{_where_from(error.name)}\n")
         raise SystemExit(1) from None
 
 
@@ -88,16 +94,28 @@ def _of_program(trace: types.TracebackType | None, program: str) -> types.Traceb
     return trace
 
 
+def _where_from(module: str) -> str:
+    """Where a module that is missing comes from."""
+    package, _, part = module.partition(".")
+    if part in ("msg", "srv", "cfg") or package in ROS_PACKAGES:
+        return f"{package} is a package of ROS: name a folder that has it with --workspace"
+    return f"{module} is a module of Python: install it into the environment of m100link"
+
+
 # -- packages around a program ---------------------------------------------------------------------
 
 
-def packages_of(program: Path) -> dict[str, Path]:
-    """The ROS packages beside the one that a program lies in, and that one, by name."""
+def packages_of(program: Path, workspace: Path | None = None) -> dict[str, Path]:
+    """The ROS packages that a program imports from, by name.
+
+    They are that which it lies in, those of ``workspace``, and those beside its own.
+    """
+    found = {} if workspace is None else packages_in(workspace)
     for own in list(program.parents)[:_UP]:
         if (own / "package.xml").is_file():
             above = [one for one in own.parents if one.name == "src"][:1]
-            return packages_in(*above, own.parent)
-    return {}
+            return (found or packages_in(*above, own.parent)) | packages_in(own)
+    return found
 
 
 def packages_in(*folders: Path) -> dict[str, Path]:
@@ -130,6 +148,11 @@ def read_types(folders: Mapping[str, Path]) -> None:
 
     Raises ``SyntaxError``: a definition cannot be read.
     """
+    messages, services = types_of(Path(__file__).with_name("types.txt"))
+    for name, kind in messages.items():
+        MESSAGES.setdefault(name, kind)
+    for name, service in services.items():
+        SERVICES.setdefault(name, service)
     for package, folder in folders.items():
         for path in sorted((folder / "msg").glob("*.msg")):
             name = f"{package}/{path.stem}"
@@ -199,7 +222,7 @@ class Finder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
         self, fullname: str, path: Sequence[str] | None = None, target: object = None
     ) -> importlib.machinery.ModuleSpec | None:
         head, _, tail = fullname.partition(".")
-        if fullname in _MADE or (head in self._packages and tail in ("", "msg", "srv")):
+        if fullname in MADE or (head in self._packages and tail in ("", "msg", "srv")):
             spec = importlib.machinery.ModuleSpec(fullname, self, is_package=tail == "")
             if not tail:
                 spec.submodule_search_locations = self._places(head)
@@ -231,7 +254,7 @@ class Finder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
     def create_module(self, spec: importlib.machinery.ModuleSpec) -> types.ModuleType | None:
         """The module itself where it has another name here."""
         if spec.name == "dji_sdk.dji_drone":
-            return _copied(spec.name, vars(dji_drone))
+            return copied(spec.name, vars(dji_drone))
         if spec.name in python2.MODULES:
             return importlib.import_module(python2.MODULES[spec.name])
         return None
@@ -240,8 +263,8 @@ class Finder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
         """Fill it."""
         name = module.__name__
         head, _, tail = name.partition(".")
-        if name in _MADE:
-            module.__dict__.update(_MADE[name]())
+        if name in MADE:
+            module.__dict__.update(MADE[name]())
         elif tail == "msg":
             module.__dict__.update(_messages_of(head))
         elif tail == "srv":
@@ -301,114 +324,3 @@ def _services_of(package: str) -> dict[str, Any]:
                 f"{short}Response": kind._response_class,
             }
     return found | {"__all__": list(found)}
-
-
-def _public(module: types.ModuleType) -> dict[str, Any]:
-    return {name: value for name, value in vars(module).items() if not name.startswith("_")}
-
-
-def _copied(name: str, values: Mapping[str, Any]) -> types.ModuleType:
-    module = types.ModuleType(name)
-    module.__dict__.update({key: value for key, value in values.items() if key[:2] != "__"})
-    return module
-
-
-_GENPY = {"Time": genpy.RosTime, "Duration": genpy.RosDuration, "Message": genpy.RosMessage}
-
-
-def _rospy() -> dict[str, Any]:
-    found = _public(node) | {"__path__": []}
-    found |= _GENPY
-    found["Header"] = message_class("std_msgs/Header")
-    exceptions = {name: value for name, value in found.items() if name.endswith("Exception")}
-    inner = {
-        "exceptions": exceptions,
-        "service": exceptions | {"ServiceProxy": node.ServiceProxy, "Service": node.Service},
-        "rostime": {name: found[name] for name in ("Time", "Duration", "get_time", "get_rostime")},
-        "topics": {name: found[name] for name in ("Publisher", "Subscriber", "Topic")},
-        "core": found,
-        "client": found,
-        "timer": {name: found[name] for name in ("Rate", "Timer", "TimerEvent", "sleep")},
-        "msg": {"AnyMsg": node.AnyMsg},
-        "numpy_msg": {"numpy_msg": lambda kind: kind},
-        "names": {"resolve_name": node.resolve_name},
-    }
-    for name, values in inner.items():
-        module = sys.modules[f"rospy.{name}"] = _copied(f"rospy.{name}", values)
-        found.setdefault(name, module)
-    return found
-
-
-def _actionlib() -> dict[str, Any]:
-    return _public(actionlib) | {"GoalStatus": actionlib.GoalStateNames}
-
-
-class _RosPack:
-    """Where the packages of the workspace are."""
-
-    def get_path(self, name: str) -> str:
-        for finder in sys.meta_path:
-            if isinstance(finder, Finder) and name in finder._folders:
-                return str(finder._folders[name])
-        raise LookupError(f"there is no package {name} around this program")
-
-    def list(self) -> Iterable[str]:
-        return [n for one in sys.meta_path if isinstance(one, Finder) for n in one._folders]
-
-
-class TransformException(Exception):
-    """A transform that nobody has published here."""
-
-
-class TransformListener:
-    """Knows no transforms: the station publishes none."""
-
-    def __init__(self, *_: object, **__: object) -> None:
-        pass
-
-    def lookupTransform(self, target: str, source: str, at: object) -> Any:  # noqa: N802 - tf's
-        """Raises ``TransformException``."""
-        raise TransformException(f"no transform from {source} to {target} is known here")
-
-    def waitForTransform(self, target: str, source: str, *_: object) -> None:  # noqa: N802 - tf's
-        """Raises ``TransformException``."""
-        self.lookupTransform(target, source, None)
-
-    def canTransform(self, *_: object) -> bool:  # noqa: N802 - tf's
-        return False
-
-
-class TransformBroadcaster:
-    """Takes transforms, which nobody reads here."""
-
-    def sendTransform(self, *_: object, **__: object) -> None:  # noqa: N802 - tf's
-        """Do nothing."""
-
-
-def _tf() -> dict[str, Any]:
-    names = ("LookupException", "ConnectivityException", "ExtrapolationException", "Exception")
-    return {
-        **dict.fromkeys(names, TransformException),
-        "__path__": [],
-        "TransformListener": TransformListener,
-        "TransformBroadcaster": TransformBroadcaster,
-        "transformations": importlib.import_module("tf.transformations"),
-    }
-
-
-_MADE: dict[str, Callable[[], dict[str, Any]]] = {
-    "rospy": _rospy,
-    "actionlib": lambda: _actionlib() | {"__path__": []},
-    "actionlib.simple_action_client": lambda: _actionlib(),
-    "genpy": lambda: {**_GENPY, "SerializationError": genpy.SerializationError},
-    "tf": _tf,
-    "tf.transformations": lambda: _public(transformations),
-    "roslib": lambda: {
-        "load_manifest": lambda *_: None,
-        "message": types.SimpleNamespace(
-            get_message_class=message_class, get_service_class=service_class
-        ),
-    },
-    "rospkg": lambda: {"RosPack": _RosPack, "ResourceNotFound": LookupError},
-}
-"""Modules that are made here, and their names."""

@@ -25,7 +25,6 @@ from m100link.errors.texts import read_json
 
 Message = dict[str, Any]  # a ROS message: field names and values
 
-_TYPES = Path(__file__).with_name("types.txt")
 _PARTS = ("Goal", "Result", "Feedback")  # of an action
 
 _INTEGERS = {
@@ -182,10 +181,11 @@ def action_types(name: str, parts: Iterable[str]) -> Iterator[MessageType]:
     yield message_type(f"{name}Action", ", ".join(whole))
 
 
-def _types() -> tuple[dict[str, MessageType], dict[str, ServiceType]]:
+def types_of(file: Path) -> tuple[dict[str, MessageType], dict[str, ServiceType]]:
+    """The message types and service types of a file like ``types.txt``, by name."""
     messages: dict[str, MessageType] = {}
     services = {}
-    for line in _TYPES.read_text(encoding="utf-8").splitlines():
+    for line in file.read_text(encoding="utf-8").splitlines():
         name, _, text = line.partition(":")
         if not name or name.startswith("#"):
             continue
@@ -201,7 +201,7 @@ def _types() -> tuple[dict[str, MessageType], dict[str, ServiceType]]:
     return messages, services
 
 
-MESSAGES, SERVICES = _types()  # message types, and service types, by name
+MESSAGES, SERVICES = types_of(Path(__file__).with_name("types.txt"))
 
 
 def canonical_type(name: str) -> str:

@@ -1,0 +1,68 @@
+"""The modules of ROS that a program imports beside rospy, and what it hears of those missing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from rospy_stand_in import packages
+
+from m100link.apps.station.ros.messages import MESSAGES, SERVICES, types_of
+from tests.examples_rospy.conftest import programs
+
+IMPORTS = """
+    import actionlib, cv_bridge, genpy, message_filters, rosgraph, roslib, rosparam, rospkg, tf
+    import tf2_ros, tf_conversions, rospy
+    from dynamic_reconfigure.msg import Config
+    from nav_msgs.srv import GetPlan
+    from rospy.rostime import wallsleep
+    from std_srvs.srv import Trigger
+    from tf.msg import tfMessage
+
+    roslib.load_manifest("anything")
+    print(rosgraph.is_master_online(), issubclass(tf2_ros.LookupException, Exception))
+    turned = tf_conversions.transformations.quaternion_from_euler(0, 0, 1)
+    print([float(round(one, 3)) for one in turned])
+    rospy.init_node("a")
+    rosparam.upload_params("/up", {"a": {"b": 3}})
+    print(rospy.get_param("/up/a/b"), rospy.get_param("~list"), rospy.get_param("~text"))
+    from guidance.msg import Motion
+"""
+
+
+@pytest.mark.anyio
+@pytest.mark.pty
+async def test_what_programs_import_is_there_and_what_is_not_is_named(tmp_path: Path) -> None:
+    pytest.importorskip("yaml")
+    pytest.importorskip("numpy")
+    async with programs(tmp_path) as station:
+        given = ("_list:=[{lat: 1.5}, {lat: 2}]", "_text:=a: b: c")
+        lines = await station.run(IMPORTS, *given, status=1)
+    assert lines == [
+        "True True",
+        "[0.0, 0.0, 0.479, 0.878]",
+        "3 [{'lat': 1.5}, {'lat': 2}] a: b: c",
+    ]
+    assert "ModuleNotFoundError: No module named 'guidance'" in station.error
+    assert "guidance is a package of ROS: name a folder that has it" in station.error
+
+
+@pytest.mark.parametrize(
+    ("module", "kind"),
+    [("guidance.msg", "of ROS"), ("rosbag", "of ROS"), ("mavros_msgs.srv", "of ROS"),
+     ("torch", "of Python"), ("serial", "of Python")],
+)  # fmt: skip
+def test_a_missing_module_is_of_ros_or_of_python(module: str, kind: str) -> None:
+    assert kind in packages._where_from(module)
+
+
+def test_types_are_those_that_the_station_lacks_and_complete() -> None:
+    own = Path(packages.__file__).with_name("types.txt")
+    messages, services = types_of(own)
+    assert not messages.keys() & MESSAGES.keys()
+    assert not services.keys() & SERVICES.keys()
+    known = messages.keys() | MESSAGES.keys()
+    halves = [half for one in services.values() for half in (one.request, one.response)]
+    for kind in (*messages.values(), *halves):
+        for field in kind.fields:
+            assert "/" not in field.type or field.type in known, (kind.name, field.type)
