@@ -78,7 +78,7 @@ async def test_a_goal_is_flown_to_its_end_after_the_program_as_by_djis_node(tmp_
     async with programs(tmp_path) as one:
         said = await one.run(program)
         assert "the program has ended, its goal has not: Ctrl-C stops the aircraft" in said[-1]
-        assert one.aircraft.height == pytest.approx(4.0, abs=1.0)
+        assert one.aircraft.height == pytest.approx(4.0, abs=1.0), one.error
         assert not one.station.agent.holding.has_authority
 
 

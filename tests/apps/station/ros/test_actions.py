@@ -78,6 +78,24 @@ async def test_a_local_goal_is_flown_and_reported(rig: Rig) -> None:
     assert [one["status_list"] for one in of(client, LOCAL, "status")][-1] == []  # after 5 s
 
 
+@pytest.mark.parametrize("is_stopped", [False, True])
+async def test_a_goal_during_take_off_is_flown_after_it_unless_a_stop_comes(
+    rig: Rig, is_stopped: bool
+) -> None:
+    """DJI's node sends its setpoints at once, and the aircraft ignores them until it hovers."""
+    client = await rig.open()
+    listen(client, LOCAL)
+    client.call("/dji_sdk/drone_task_control", task=4)
+    await rig.until(lambda: rig.agent.holding.task is not None)
+    send(client, LOCAL, "there", x=3.0, y=0.0, z=4.0)
+    await anyio.sleep(0.3)
+    if is_stopped:
+        client.call("/m100link/stop")
+    await rig.until(lambda: bool(results(client, LOCAL)))
+    assert results(client, LOCAL) == [("there", *((4, False) if is_stopped else (3, True)))]
+    assert rig.aircraft.position[0] == pytest.approx(0.0 if is_stopped else 3.0, abs=0.6)
+
+
 async def test_a_global_goal_is_flown_to_its_place_and_height(rig: Rig) -> None:
     client = await flying(rig, GLOBAL)
     place = {"latitude": LATITUDE + 8 * METRE_NORTH, "longitude": LONGITUDE + 3 * METRE_EAST}
