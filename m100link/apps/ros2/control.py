@@ -205,7 +205,7 @@ class RosControl:
         self.session = ControlSession(agent, "ROS 2", TERMS)
         self.mux = SetpointMux()  # whose setpoints fly
         self.goal = ""  # what flies by itself for a program; empty for nothing
-        # Tasks that have not begun, and when each was asked for: to ask again asks for the same one.
+        # Tasks that have not begun, and when each was asked for: asked again, it is the same one.
         self._tasks: dict[orders.Order, tuple[asyncio.Task[Any], float]] = {}
 
     async def obtain(self) -> None:
