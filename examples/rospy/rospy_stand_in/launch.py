@@ -46,7 +46,7 @@ class _Started:
 
 @dataclass
 class _Scope:
-    """What a group or an included file sees."""
+    """Names that a group or an included file can use."""
 
     file: Path
     arguments: dict[str, str]
@@ -234,7 +234,7 @@ def run_launch(file: Path, arguments: Sequence[str], command: Sequence[str]) -> 
     try:
         while any(process.poll() is None for process in running):
             time.sleep(_STEP_S)
-    except KeyboardInterrupt:  # the terminal has told them, too
+    except KeyboardInterrupt:  # the terminal interrupts them, too
         for process in running:
             process.send_signal(signal.SIGINT)
     return max(abs(process.wait()) for process in running)

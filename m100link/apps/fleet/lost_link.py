@@ -188,7 +188,7 @@ class LostLinkAction:
                 await self._descend(task, f"operator lost ({self._plan.action})")
             except LeaseHeld:
                 return  # by somebody who is there
-            except Exception as error:  # noqa: BLE001 (told): whatever failed, nobody else lands it
+            except Exception as error:  # noqa: BLE001 (reported): whatever failed, nobody else lands it
                 why = error.seen if isinstance(error, M100Error) else "the agent failed"
                 self._client.note(f"the operator is lost, and it did not land: {why}", "error")
             else:
