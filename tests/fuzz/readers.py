@@ -50,7 +50,8 @@ _REASONS: dict[str, tuple[str, ...]] = {
     ),
     "a file of the installation, or what the kernel tells": (
         "apps/station/console/view/texts.py translations",
-        "apps/station/ros/messages.py _types",
+        "apps/station/ros/messages.py message_type",
+        "apps/station/ros/messages.py types_of",
         "apps/cli/manual.py _Page.text",
         "apps/cli/manual.py _pages",
         "apps/cli/manual.py _unfenced",

@@ -540,7 +540,7 @@ FRONT = Recipe(
             (
                 Edit(
                     "m100link/apps/station/config.py",
-                    "(8765 is usual).\n",
+                    "8765 is usual.\n",
                     "        greeting_port: Serve greetings on this port.\n",
                 ),
             ),
