@@ -70,7 +70,8 @@ from m100link.apps.mavlink.translator.codec import (
     MavlinkMessage,
     MessageReader,
     PacketSigner,
-    SignatureMemory,
+    Snapshot,
+    ending_command,
     Snapshot,
     write_frame,
 )
@@ -201,7 +202,8 @@ def frames_seeds() -> list[bytes]:
 
 
 def mavlink(data: bytes) -> None:
-    """A datagram, by one that knows a key and one that does not."""
+    """A datagram, by one that knows a key and one that does not, and by a flood's look at it."""
+    ending_command(data)
     for signer in (PacketSigner(_KEY), None):
         for message in MessageReader(data, signer=signer, now=10**9):
             frame = write_frame(message, system=message.system, sequence=0)
