@@ -181,7 +181,7 @@ class Obtain(Order, after_stop=AfterStop.IF_NEWER):
     """Obtain control authority; its client begins anew by it after a STOP."""
 
 
-class Release(Order, after_stop=AfterStop.DONE, ends=True):
+class Release(Order, moves=False, is_kept=False, ends=True):
     """Give control authority back; the lease stays."""
 
 
@@ -203,7 +203,7 @@ class StartMotors(Order):
     """Start the motors on the ground."""
 
 
-class StopMotors(Order, after_stop=AfterStop.DONE, ends=True):
+class StopMotors(Order, moves=False, is_kept=False, ends=True):
     """Stop the motors on the ground; nothing of the kind is ever sent in the air."""
 
 
@@ -297,11 +297,11 @@ class StartMission(Order):
     until_over: bool = False  #: done when it is over, not when it has begun
 
 
-class StopMission(Order, after_stop=AfterStop.DONE, ends=True):
+class StopMission(Order, moves=False, is_kept=False, ends=True):
     """End the mission that flies, of whatever kind; done when something else may fly."""
 
 
-class PauseMission(Order, after_stop=AfterStop.DONE, ends=True):
+class PauseMission(Order, moves=False, is_kept=False, ends=True):
     """Let the aircraft hover in the mission, of whatever kind."""
 
 

@@ -42,7 +42,9 @@ BY_HAND = {
     "GoHome": "ends",
     **dict.fromkeys(("Activate", "PointGimbal", "TurnGimbal", "UseCamera"), "if-held newer"),
     **dict.fromkeys(("Obtain", "SendToMobile"), "newer"),
-    **dict.fromkeys(("Release", "StopMotors", "StopMission", "PauseMission"), "done ends"),
+    **dict.fromkeys(
+        ("Release", "StopMotors", "StopMission", "PauseMission"), "still unkept done ends"
+    ),
 }
 
 

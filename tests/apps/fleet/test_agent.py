@@ -387,6 +387,22 @@ async def test_a_take_off_that_waits_for_the_disk_is_revoked_by_a_landing(rig: R
     assert one.height < 0.1
 
 
+async def test_what_ends_a_movement_waits_for_no_disk(rig: Rig) -> None:
+    """A card that hangs for a minute would let a mission fly on for that long."""
+    order_log = MemoryOrderLog()
+    one = await rig.aircraft("a1", order_log=order_log)
+    got = await in_the_air(rig, one)
+    order_log.begin = lambda _: anyio.sleep_forever()  # type: ignore[method-assign, assignment]
+    for ending in (orders.PauseMission(), orders.StopMission(), orders.StopMotors()):
+        with anyio.fail_after(30.0):
+            reply = await send(rig, order(ending, got.number, got.token))
+        assert reply.progress is Progress.DONE, ending
+        assert reply.outcome is Outcome.REFUSED, "no mission flies, and it is in the air"
+    reply = await send(rig, order(orders.Release(), got.number, got.token))
+    assert reply.outcome is Outcome.OK
+    assert not one.client.has_authority
+
+
 async def test_strangers_reach_neither_disk_nor_memory(rig: Rig) -> None:
     one = await rig.aircraft("a1")
     for identity in ("", "x" * 4000, "ab" * 15 + "/*", "AB" * 16):
