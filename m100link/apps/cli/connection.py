@@ -475,6 +475,21 @@ async def first_contact(
         _check_report(report)
     app = place.settings
     as_json = wants_json(json)
+
+    def keep(contact: Contact) -> None:
+        described = {"line": _kind_of_line(place), **contact.to_json()}
+        if as_json:
+            print_json(described)
+        try:
+            if report is not None:
+                _write_report(report, described)
+                err.print(f"written: {report}", markup=False)
+        finally:  # no error of the one costs the other
+            if name is not None and contact.found:
+                _remember(configuration, name, place.url, contact)
+        if contact.ended_by:
+            err.print(f"it ended early: {contact.ended_by}", markup=False)
+
     contact: Contact = await meet(
         place.url,
         ask=_asked,
@@ -484,19 +499,8 @@ async def first_contact(
         timeout=app.timeout,
         tell=(lambda _: None) if as_json else _tell_observation,
         say=lambda text: err.print(text, style="bold", markup=False),
+        keep=keep,
     )
-    described = {"line": _kind_of_line(place), **contact.to_json()}
-    if as_json:
-        print_json(described)
-    try:
-        if report is not None:
-            _write_report(report, described)
-            err.print(f"written: {report}", markup=False)
-    finally:  # no error of the one costs the other
-        if name is not None and contact.found:
-            _remember(configuration, name, place.url, contact)
-    if contact.ended_by:
-        err.print(f"it ended early: {contact.ended_by}", markup=False)
     if not contact.is_given_back:
         return ExitCode.AUTHORITY
     return ExitCode.NO_LINK if contact.is_cut_off else ExitCode.OK

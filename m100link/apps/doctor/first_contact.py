@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 from m100link.aircraft import Aircraft, connect
 from m100link.apps.doctor.diagnosis import TELEMETRY_S
 from m100link.errors import AuthorityRefused, LinkError, M100Error
+from m100link.flight.cancellation import SIGNALS, new_task, undisturbed
 from m100link.link import Direction, Tap
 from m100link.protocol.codes import AuthorityCode
 from m100link.protocol.commands.activation import RATES_HZ, Credentials
@@ -137,6 +138,18 @@ class Contact:
         """The findings by topic, for the configuration."""
         return {one.topic.name.lower(): one.found for one in self.observations if one.is_seen}
 
+    def note_end(self, working: asyncio.Task[None]) -> None:
+        """Why it ended. Raises the error of the work, unless the line went away."""
+        if working.cancelled():
+            self.ended_by = "it was interrupted"
+            return
+        try:
+            working.result()
+        except LinkError as error:
+            # Its text names the port or the address, which belongs into no report.
+            self.is_cut_off = True
+            self.ended_by = f"the line went away ({type(error).__name__})"
+
     def to_json(self) -> dict[str, Any]:
         """As JSON has it."""
         return {
@@ -176,9 +189,13 @@ async def first_contact(
     timeout: float | None = None,
     tell: Callable[[Observation], object] = lambda _: None,
     say: Callable[[str], object] = lambda _: None,
+    keep: Callable[[Contact], object] = lambda _: None,
     open_aircraft: Callable[[Tap], Awaitable[Aircraft]] | None = None,
 ) -> Contact:
     """Find out what a real aircraft does where no source says it. Nothing moves.
+
+    A signal such as Ctrl-C, or a cancellation, ends it early: control goes back first, however
+    often it comes.
 
     Args:
         url: Where the aircraft is, as :func:`m100link.connect` takes it.
@@ -189,6 +206,7 @@ async def first_contact(
         timeout: Seconds until the aircraft has to answer, as :func:`m100link.connect` takes them.
         tell: Gets each observation at once.
         say: Gets what happens meanwhile, such as that control was obtained.
+        keep: Gets all that was seen at every end, before a signal acts.
         open_aircraft: Connects in place of :func:`m100link.connect`, with this tap.
 
     Raises:
@@ -203,14 +221,26 @@ async def first_contact(
     else:
         aircraft = await open_aircraft(witness.tap)
     meeting = _Meeting(aircraft, witness, ask, tell, say)
+    working = new_task(meeting.hold(credentials), "first contact")
+    stop = working.cancel
+    SIGNALS.join(stop)
+    cancelled: asyncio.CancelledError | None = None
     try:
-        await meeting.hold(credentials)
-    except LinkError as error:
-        # Its text names the port or the address, which belongs into no report.
-        meeting.contact.is_cut_off = True
-        meeting.contact.ended_by = f"the line went away ({type(error).__name__})"
+        try:
+            await asyncio.wait([working])
+        except asyncio.CancelledError as error:
+            cancelled = error
+            stop()
+            await undisturbed(working)
+        meeting.contact.note_end(working)
     finally:
-        await aircraft.aclose()
+        try:
+            keep(meeting.contact)
+            await aircraft.aclose()
+        finally:
+            SIGNALS.leave(stop)  # last: a signal that came may end the process here
+    if cancelled is not None:
+        raise cancelled
     return meeting.contact
 
 
@@ -473,7 +503,10 @@ class _Meeting:
             if not self._asks_twice:
                 refusals.append(AuthorityCode.NOT_CHANGED)
             if self._is_asking or not codes or codes[-1] not in refusals:
-                await self._give_back(is_held=AuthorityCode.OBTAINED in codes)
+                back = new_task(self._give_back(is_held=AuthorityCode.OBTAINED in codes), "release")
+                if (cancelled := await undisturbed(back)) is not None:
+                    raise cancelled
+                back.result()
         answers = ", ".join(map(str, codes)) or "none"
         if error:
             answers += f"; {error}"

@@ -17,6 +17,7 @@ from m100link.apps.doctor.machine import Adapter
 from m100link.sim.vehicle.activation import DEMO_APP_ID, DEMO_KEY
 from tests.apps.cli.conftest import NEARLY_100, CommandLine, Simulator, process
 from tests.apps.cli.terminal import Terminal
+from tests.apps.cli.terminal import terminal as on_terminal
 
 FTDI = Adapter("ftdi_sio", "0403", "6001", "FTDI FT232R", "A50285BI", 16)
 
@@ -392,6 +393,23 @@ def test_a_line_that_goes_is_told_by_the_status(
 
     monkeypatch.setattr(doctor_module, "meet", meet)
     assert cli("first-contact", "sim://").status == 4
+
+
+@pytest.mark.pty
+def test_ctrl_c_at_a_late_question_writes_what_was_found(tmp_path: Path) -> None:
+    place = tmp_path / "first.json"
+    command = ("first-contact", "sim://?acceleration=raw", "--report", str(place))
+    with on_terminal(*command) as shown:
+        shown.read_until("Is that done?")
+        shown.type("y\n")
+        shown.read_until("Is it up?")
+        shown.type("\x03")
+        shown.read_until("it ended early: it was interrupted")
+        assert shown.end() == 130
+    report = json.loads(place.read_text(encoding="utf-8"))
+    assert (report["ended_by"], report["given_back"]) == ("it was interrupted", True)
+    found = {one["topic"]: one["found"] for one in report["observations"]}
+    assert found["acceleration"] == "raw"
 
 
 def test_without_a_terminal_nothing_is_tried(cli: CommandLine) -> None:

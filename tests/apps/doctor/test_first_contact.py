@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import random
 import struct
 from collections.abc import Mapping
 from pathlib import Path
@@ -444,6 +445,101 @@ async def test_a_refusal_says_nothing_of_a_later_request_without_an_answer() -> 
     assert there.obtained == 1
     assert there.device == RC
     assert not contact.is_given_back
+
+
+PROMPTS = (
+    *("PROPELLERS OFF", "Lift", "back on the ground", "Hold the left stick"),
+    *("remote control OFF", "remote control on again", "May I ask"),
+    *("mode switch to P", "mode switch to A", "mode switch to F. Is it"),
+)
+
+
+async def interrupted(
+    monkeypatch: pytest.MonkeyPatch,
+    there: Hidden,
+    after: float,
+    *,
+    by_signal: bool = True,
+    prompt: str = "",
+) -> tuple[Contact, list[str]]:
+    """Interrupt it so many seconds after its begin, or after a prompt, and again every 0.3 s."""
+    stops: list[Any] = []
+    kept: list[Contact] = []
+    monkeypatch.setattr("m100link.apps.doctor.first_contact.SIGNALS.join", stops.append)
+    monkeypatch.setattr("m100link.apps.doctor.first_contact.SIGNALS.leave", stops.remove)
+    asked = asyncio.Event()
+    if not prompt:
+        asked.set()
+
+    async def ask(text: str) -> bool:
+        if prompt and prompt in text:
+            asked.set()
+        return await there.asked(text)
+
+    task = asyncio.ensure_future(met(there, ask, keep=kept.append))
+
+    async def interrupt() -> None:
+        await asked.wait()
+        await asyncio.sleep(after)
+        while not task.done():
+            if by_signal:
+                for stop in stops:
+                    stop()
+            else:
+                task.cancel()
+            await asyncio.sleep(0.3)
+
+    others = asyncio.ensure_future(interrupt())
+    try:
+        contact, said = await task
+    except asyncio.CancelledError:
+        contact, said = kept[0], []
+    others.cancel()
+    assert kept == [contact], "once, whatever happens"
+    assert not stops, "signals act again"
+    return contact, said
+
+
+_WHOLE_S, _AUTHORITY_S = 28.5, 9.0  # of a contact with answers after 0.2 s; its last part
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("by_signal", [True, False])
+@pytest.mark.parametrize("seed", range(12))
+async def test_an_interrupt_at_any_time_gives_control_back_and_keeps_what_was_seen(
+    monkeypatch: pytest.MonkeyPatch, seed: int, by_signal: bool
+) -> None:
+    chance = random.Random(seed)
+    there = Hidden(raw=True, latency=0.2, obtains_in=chance.choice(["F", "PAF"]))
+    since = chance.choice([0.0, _WHOLE_S - _AUTHORITY_S])
+    after = chance.uniform(since, _WHOLE_S - 0.1)
+    contact, said = await interrupted(monkeypatch, there, after, by_signal=by_signal)
+    assert there.device == RC, (seed, after, contact, said)
+    assert contact.is_given_back
+    assert contact.ended_by == "it was interrupted", (seed, after)
+    at_rest = contact.get(Topic.ACCELERATION)
+    assert at_rest is None or at_rest.found == "raw"
+    assert bool(contact.found) == (after > 1.0), (seed, after)
+
+
+@pytest.mark.parametrize("prompt", PROMPTS)
+async def test_an_interrupt_at_any_prompt_keeps_what_was_seen(
+    monkeypatch: pytest.MonkeyPatch, prompt: str
+) -> None:
+    there = Hidden(raw=True)
+    contact, _ = await interrupted(monkeypatch, there, 0.0, prompt=prompt)
+    assert (contact.ended_by, there.device) == ("it was interrupted", RC)
+    assert Topic.VERSION.name.lower() in contact.found
+    assert (contact.found.get("acceleration") == "raw") is (prompt != "PROPELLERS OFF")
+
+
+async def test_what_an_interrupt_cannot_give_back_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    there = Hidden(releases=False, obtains_in="P")
+    prompt = "mode switch to P"
+    contact, said = await interrupted(monkeypatch, there, 2.5, prompt=prompt)
+    assert there.device == ONBOARD
+    assert not contact.is_given_back
+    assert said[-1] == "the aircraft may still have it with this program: put the switch to P"
 
 
 def test_the_manual_says_on_how_many_aircraft_each_assumption_was_seen() -> None:
