@@ -373,9 +373,11 @@ _MOVED = {
 # Modules of documented names that another one has taken in.
 _JOINED = {
     "log.page": "log.picture",
+    "log.parquet": "log.reading",
     "protocol.commands.camera": "protocol.commands.gimbal",
     "protocol.commands.follow": "protocol.commands.hotpoint",
     "protocol.commands.sync": "protocol.commands.virtual_rc",
+    "sync.payload": "sync.aircraft",
 }
 
 

@@ -15,16 +15,16 @@ from m100link.protocol.firmware import FirmwareProfile
 from m100link.protocol.records import AccelerationMode
 from m100link.sim.ports.driver import clock_of
 from m100link.sync.control import Control
-from m100link.sync.payload import AircraftCamera, AircraftGimbal
 from m100link.sync.portal import Handed, Portal, Reads, calls, like, shown_as, waits
 from m100link.sync.signals import SIGNALS
-from m100link.sync.steering import Subscription
+from m100link.sync.steering import GimbalRates, Subscription
 from m100link.telemetry.device_clock import DeviceClock
 from m100link.telemetry.sample import Sample
 from m100link.telemetry.state import AircraftState
 from m100link.telemetry.subscription import Policy
 
-__all__ = ["Aircraft", "connect"]
+__all__ = ["Aircraft", "AircraftCamera", "AircraftGimbal", "connect"]
+
 
 P = ParamSpec("P")
 
@@ -167,3 +167,28 @@ async def _awaited(connecting: aio.Connecting) -> aio.Aircraft:
 
 
 connect = _without_await(aio.connect)
+
+
+# -- gimbal and camera -----------------------------------------------------------------------------
+
+
+class AircraftGimbal(Handed):
+    """The gimbal of a connected aircraft, without ``await``: ``aircraft.gimbal``."""
+
+    set_angles = waits(aio.AircraftGimbal.set_angles)
+    set_angular_rates = waits(aio.AircraftGimbal.set_angular_rates)
+
+    @like(aio.AircraftGimbal.hold_angular_rates)
+    def hold_angular_rates(self, **rates: Any) -> GimbalRates:
+        return GimbalRates(self._portal, lambda _: self._aio.hold_angular_rates(**rates))
+
+
+class AircraftCamera(Handed):
+    """The camera of a connected aircraft, without ``await``: ``aircraft.camera``.
+
+    **Sent, and nobody confirms**: no firmware says whether a picture was taken or a video runs.
+    """
+
+    take_photo = waits(aio.AircraftCamera.take_photo)
+    start_video = waits(aio.AircraftCamera.start_video)
+    stop_video = waits(aio.AircraftCamera.stop_video)

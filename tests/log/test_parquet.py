@@ -13,7 +13,7 @@ import pytest
 from m100link import Position, Velocity
 from m100link.errors import UsageError
 from m100link.log import read
-from m100link.log.parquet import write_parquet
+from m100link.log.reading import write_parquet
 from tests.log.flight import fly
 
 pytestmark = pytest.mark.anyio

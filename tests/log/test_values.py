@@ -19,10 +19,9 @@ import pytest
 from m100link.apps.cli.log import csv as log_csv
 from m100link.link import Direction
 from m100link.log import read
-from m100link.log.parquet import write_parquet
 from m100link.log.pcapng import _Tables, write_pcapng
 from m100link.log.picture import facts
-from m100link.log.reading import Chunk
+from m100link.log.reading import Chunk, write_parquet
 from m100link.log.story import read_story
 from m100link.protocol.firmware import PROFILES
 from m100link.protocol.records import Attitude, Battery, FlightStatus, Position

@@ -12,7 +12,7 @@ from m100link import aircraft, sync
 from m100link.aircraft import payload
 from m100link.flight import control, setpoints
 from m100link.flight.missions import hotpoint, waypoint
-from m100link.sync import payload as sync_payload
+from m100link.sync import aircraft as sync_aircraft
 from m100link.sync import steering
 from m100link.sync.portal import Reads
 from m100link.telemetry import subscription
@@ -29,8 +29,8 @@ PAIRS: list[tuple[type[Any], type[Any]]] = [
     (sync.Control, control.Control),
     (sync.Subscription, subscription.Subscription),
     (sync.Hold, setpoints.Hold),
-    (sync_payload.AircraftGimbal, payload.AircraftGimbal),
-    (sync_payload.AircraftCamera, payload.AircraftCamera),
+    (sync_aircraft.AircraftGimbal, payload.AircraftGimbal),
+    (sync_aircraft.AircraftCamera, payload.AircraftCamera),
     (steering.GimbalRates, payload.GimbalRates),
     (steering.WaypointFlight, waypoint.WaypointFlight),
     (steering.HotpointFlight, hotpoint.HotpointFlight),
@@ -72,7 +72,7 @@ def test_a_property_is_said_to_have_the_type_that_it_has(here: type[Any], there:
         (sync.connect, "with m100link.sync.connect(", "await"),
         (sync.connect, "print(aircraft.version())", "async with"),
         (sync.Control.obtain, "control = aircraft.control().obtain()", "await"),
-        (sync_payload.AircraftGimbal.hold_angular_rates, "time.sleep(2)", "asyncio"),
+        (sync_aircraft.AircraftGimbal.hold_angular_rates, "time.sleep(2)", "asyncio"),
         (sync.Control.take_off, "GuardRefused: Battery below its floor", "await"),
         (sync.Control.is_paused, "the pilot took the aircraft", "await"),
     ],

@@ -93,7 +93,7 @@ _ROWS = {
     ),
     "Logs": (
         ("record", "log", "sim:// -o flight.mcap --duration 2", "lab-m100"),
-        ("replay", "replay", "flight.mcap", "flight.mcap --from 60 --speed 4"),
+        ("replay", "serve", "flight.mcap", "flight.mcap --from 60 --speed 4"),
         ("log", "log:app", "", ""),
         ("log info", "", "flight.mcap", "flight.mcap --json"),
         ("log plot", "", "flight.mcap", "flight.mcap -o flight.png"),

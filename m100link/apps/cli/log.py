@@ -28,9 +28,9 @@ from m100link.link.keyfile import read_key
 from m100link.log import Recorder, read, recover
 from m100link.log.channels import COMMAND, EVENT
 from m100link.log.channels import layout as layout_of_panels
-from m100link.log.parquet import write_parquet
 from m100link.log.pcapng import dissector, read_frames, write_pcapng
 from m100link.log.picture import Comparison, clock, compare, facts
+from m100link.log.reading import write_parquet
 from m100link.log.ros2 import write_bag
 from m100link.log.story import FlightSummary, read_story
 from m100link.wire import Cipher

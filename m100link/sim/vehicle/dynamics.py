@@ -276,7 +276,7 @@ class Dynamics:
         self.airframe = airframe or Airframe()
         self.hover_thrust = self.airframe.hover_thrust
         self.wind_north = self.wind_east = 0.0
-        self.yaw = _wrap(math.radians(yaw_deg))
+        self.yaw = wrapped(math.radians(yaw_deg))
         self.north = self.east = self.height = 0.0
         self.touchdown_speed = 0.0
         self.motors_on = False
@@ -316,7 +316,7 @@ class Dynamics:
     def place(self, north: float, east: float, height: float = 0.0, yaw_deg: float = 0.0) -> None:
         """Put the aircraft somewhere, at rest and level (hovering if height is above 0)."""
         self.north, self.east, self.height = north, east, max(0.0, height)
-        self.yaw = _wrap(math.radians(yaw_deg))
+        self.yaw = wrapped(math.radians(yaw_deg))
         self._settle()
         self.on_ground = height <= 0.0
         self.motors_on = not self.on_ground
@@ -329,7 +329,7 @@ class Dynamics:
     ) -> None:
         """Fly on where it is from a state of motion that was seen elsewhere."""
         self.roll, self.pitch, yaw = attitude
-        self.yaw = _wrap(yaw)
+        self.yaw = wrapped(yaw)
         self._roll_rate, self._pitch_rate, self._yaw_rate = turning
         self.velocity_north, self.velocity_east, self.velocity_up = velocity
 
@@ -362,7 +362,7 @@ class Dynamics:
         limit = airframe.yaw_rate_deg * (pi / 180.0)
         wanted = guidance.yaw
         if guidance.yaw_mode == ModelYaw.ANGLE:
-            wanted = airframe.yaw_gain * _wrap(wanted - self.yaw)
+            wanted = airframe.yaw_gain * wrapped(wanted - self.yaw)
         if wanted > limit:
             wanted = limit
         elif wanted < -limit:
@@ -374,7 +374,7 @@ class Dynamics:
         before = self._yaw_rate
         if rate or before:
             lag = airframe.yaw_time_constant
-            self.yaw = _wrap(self.yaw + wanted * STEP_S + (before - wanted - lead) * lag)
+            self.yaw = wrapped(self.yaw + wanted * STEP_S + (before - wanted - lead) * lag)
             self._yaw_rate = rate
 
     def _lift(self, guidance: DynamicsInput) -> float:
@@ -561,7 +561,7 @@ def _at_most(limit: float, north: float, east: float) -> tuple[float, float]:
     return north * shrink, east * shrink
 
 
-def _wrap(angle: float) -> float:
+def wrapped(angle: float) -> float:
     """The same direction in -pi to pi."""
     if -pi <= angle <= pi:
         return angle

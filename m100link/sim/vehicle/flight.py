@@ -2,7 +2,7 @@
 
 It owns the motion (:mod:`m100link.sim.vehicle.dynamics`), the battery and the flight status, and
 decides each step which guidance the aircraft follows. It does not judge the right to give orders
-(:mod:`m100link.sim.vehicle.authority`).
+(:mod:`m100link.sim.vehicle.remote`).
 """
 
 from __future__ import annotations

@@ -13,11 +13,10 @@ from random import Random
 from m100link.geodesy import LocalFrame
 from m100link.protocol.firmware import FirmwareProfile
 from m100link.protocol.records import AccelerationMode, Device, quaternion
-from m100link.sim.vehicle.authority import ControlArbiter
 from m100link.sim.vehicle.dynamics import GRAVITY, STEPS_PER_SECOND
 from m100link.sim.vehicle.flight import GOOD_GPS, FlightController
 from m100link.sim.vehicle.gimbal import GimbalMount
-from m100link.sim.vehicle.remote import PilotRemote
+from m100link.sim.vehicle.remote import ControlArbiter, PilotRemote
 from m100link.sim.vehicle.settings import AircraftSettings
 
 # -- what sensors get wrong: white noise, and errors that wander -----------------------------------

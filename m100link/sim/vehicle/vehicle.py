@@ -25,13 +25,12 @@ from m100link.protocol.commands.virtual_rc import VirtualRcSettings
 from m100link.protocol.firmware import FirmwareProfile
 from m100link.protocol.records import Device, RcMode
 from m100link.sim.vehicle.activation import ActivationServer, ActivationState, MobileApp
-from m100link.sim.vehicle.authority import ControlArbiter
 from m100link.sim.vehicle.dynamics import STEP_S, airframe_for
 from m100link.sim.vehicle.flight import FlightController
 from m100link.sim.vehicle.gimbal import Camera, GimbalMount
 from m100link.sim.vehicle.missions.actions import MissionPayload
 from m100link.sim.vehicle.missions.computer import MissionComputer
-from m100link.sim.vehicle.remote import PilotRemote
+from m100link.sim.vehicle.remote import ControlArbiter, PilotRemote
 from m100link.sim.vehicle.sensors import Sensors
 from m100link.sim.vehicle.settings import AircraftSettings, AssistantSettings
 

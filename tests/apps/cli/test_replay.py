@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from m100link.apps.agent.orders import OrderReplay
-from m100link.apps.cli.replay import KEYS, _names, _order
+from m100link.apps.cli.serve import KEYS, _names, _order
 from m100link.errors import UsageError
 from tests.apps.cli.conftest import CommandLine
 

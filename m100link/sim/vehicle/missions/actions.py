@@ -10,13 +10,18 @@ from m100link.protocol.codes import MissionCode
 from m100link.protocol.commands.gimbal import GimbalAngle, GimbalAngleMode
 from m100link.protocol.commands.waypoint import WaypointPoint
 from m100link.protocol.records import Device
-from m100link.sim.vehicle.authority import ControlArbiter, Obstacle
-from m100link.sim.vehicle.dynamics import STEP_S, Dynamics
+from m100link.sim.vehicle.dynamics import STEP_S, Dynamics, wrapped
 from m100link.sim.vehicle.flight import GOOD_GPS, FlightController, Maneuver
 from m100link.sim.vehicle.gimbal import Camera, GimbalMount
 from m100link.sim.vehicle.missions.plan import ActionKind, StoredPlan
-from m100link.sim.vehicle.missions.route import LocalPlace, MissionSettings, Site, distance
-from m100link.sim.vehicle.missions.steering import Nose, wrapped
+from m100link.sim.vehicle.missions.route import (
+    LocalPlace,
+    MissionSettings,
+    Nose,
+    Site,
+    distance,
+)
+from m100link.sim.vehicle.remote import ControlArbiter, Obstacle
 from m100link.sim.vehicle.settings import AircraftSettings
 
 _LONGEST_CAMERA_ACTION_S = 6.0

@@ -22,7 +22,6 @@ from m100link.protocol.command import Notification
 from m100link.protocol.commands.hotpoint import FollowStart, HotpointStart
 from m100link.protocol.commands.missions import IdleStatus, MissionStatus, Reached, WaypointEvent
 from m100link.protocol.commands.waypoint import WaypointMission, WaypointPoint
-from m100link.sim.vehicle.authority import ControlArbiter
 from m100link.sim.vehicle.dynamics import DynamicsInput, ModelVertical
 from m100link.sim.vehicle.flight import GOOD_GPS, FlightController, Maneuver
 from m100link.sim.vehicle.missions.actions import Conditions, MissionPayload
@@ -43,6 +42,7 @@ from m100link.sim.vehicle.missions.plan import (
 )
 from m100link.sim.vehicle.missions.route import LocalPlace, Site, distance, is_on_earth
 from m100link.sim.vehicle.missions.waypoints import BEFORE_ACTIONS, WaypointExecution
+from m100link.sim.vehicle.remote import ControlArbiter
 from m100link.sim.vehicle.settings import AircraftSettings
 
 Flown: TypeAlias = WaypointExecution | HotpointExecution | FollowExecution

@@ -24,11 +24,13 @@ from m100link.sim.vehicle.missions.plan import FinishAction
 from m100link.sim.vehicle.missions.route import (
     LocalPlace,
     MissionSettings,
+    MissionSteering,
+    Nose,
     RouteLeg,
     Site,
     is_on_earth,
+    slowed,
 )
-from m100link.sim.vehicle.missions.steering import MissionSteering, Nose, slowed
 from m100link.sim.vehicle.remote import Sticks
 
 SMALLEST_RADIUS, LARGEST_RADIUS, LOWEST = 5.0, 500.0, 5.0

@@ -6,16 +6,24 @@ import math
 from enum import Enum
 
 from m100link.protocol.commands.missions import Finished, Reached, WaypointEvent, WaypointStatus
-from m100link.sim.vehicle.dynamics import STEP_S, Airframe, Dynamics, DynamicsInput, ModelYaw
+from m100link.sim.vehicle.dynamics import (
+    STEP_S,
+    Airframe,
+    Dynamics,
+    DynamicsInput,
+    ModelYaw,
+    wrapped,
+)
 from m100link.sim.vehicle.missions.actions import ActionRunner, MissionPayload, aim_gimbal
 from m100link.sim.vehicle.missions.plan import FinishAction, StoredPlan, YawMode
-from m100link.sim.vehicle.missions.route import LocalPlace, MissionSettings, RouteLeg
-from m100link.sim.vehicle.missions.steering import (
+from m100link.sim.vehicle.missions.route import (
     BRAKING,
+    LocalPlace,
+    MissionSettings,
     MissionSteering,
     Nose,
+    RouteLeg,
     stopping_speed,
-    wrapped,
 )
 from m100link.sim.vehicle.remote import Sticks
 
