@@ -135,6 +135,7 @@ def borrowed(site: str, name: str) -> tuple[int, str]:
 
 ROUTER = "tcp/127.0.0.1:7447"
 
+Name = Annotated[str, Parameter(help="Name of the aircraft.")]
 Names = Annotated[str, Parameter(help="Names of aircraft.")]
 All = Annotated[bool, Parameter(name="--all", help="All aircraft that are present.")]
 

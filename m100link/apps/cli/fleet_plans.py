@@ -18,6 +18,7 @@ from m100link.apps.cli.fleet import (
     NO_OPTIONS,
     FleetOptions,
     Left,
+    Name,
     borrowed,
     reported_when_interrupted,
     say,
@@ -50,7 +51,7 @@ missions = group(
 
 @missions.command
 def fly(
-    name: str,
+    name: Name,
     plan: File,
     /,
     *,
@@ -67,7 +68,6 @@ def fly(
     --lost says what follows. `pause`, `resume` and `stop` act on the mission from another shell.
 
     Args:
-        name: Name of the aircraft.
         plan: A file, JSON or .plan; - is standard input.
         take_off: Take off first, from the ground.
         take_over: Take control from its holder, in one step.
@@ -198,12 +198,16 @@ def _ordering(
 
 @missions.command
 def upload(
-    name: str, plan: File, /, *, file: FileOptions | None = None, options: FleetOptions = NO_OPTIONS
+    name: Name,
+    plan: File,
+    /,
+    *,
+    file: FileOptions | None = None,
+    options: FleetOptions = NO_OPTIONS,
 ) -> int:
     """Upload a plan to the agent, for `start`. Needs a running `fleet lease`; void when that ends.
 
     Args:
-        name: Name of the aircraft.
         plan: A file, JSON or .plan; - is standard input.
     """
     found = read_plan(plan, file)
@@ -217,7 +221,7 @@ def upload(
 
 @missions.command
 def start(
-    name: str,
+    name: Name,
     plan: File,
     /,
     *,
@@ -228,7 +232,6 @@ def start(
     """Start the uploaded plan; it flies while `fleet lease` runs.
 
     Args:
-        name: Name of the aircraft.
         plan: The file that was uploaded: another plan on board does not fly.
         take_off: Take off first, from the ground.
     """
@@ -242,22 +245,14 @@ def start(
 
 
 @missions.command
-def pause(name: str, /, *, options: FleetOptions = NO_OPTIONS) -> int:
-    """Pause the mission in flight; the aircraft hovers.
-
-    Args:
-        name: Name of the aircraft.
-    """
+def pause(name: Name, /, *, options: FleetOptions = NO_OPTIONS) -> int:
+    """Pause the mission in flight; the aircraft hovers."""
     return _ordering(name, options, _PAUSE, lambda orders, _: orders.pause(), "paused")
 
 
 @missions.command
-def resume(name: str, /, *, options: FleetOptions = NO_OPTIONS) -> int:
-    """Resume a paused mission.
-
-    Args:
-        name: Name of the aircraft.
-    """
+def resume(name: Name, /, *, options: FleetOptions = NO_OPTIONS) -> int:
+    """Resume a paused mission."""
     return _ordering(name, options, _RESUME, lambda orders, _: orders.resume(), "it goes on")
 
 
@@ -265,7 +260,7 @@ def resume(name: str, /, *, options: FleetOptions = NO_OPTIONS) -> int:
 
 
 @missions.command
-def stop(name: str, /, *, options: FleetOptions = NO_OPTIONS) -> int:
+def stop(name: Name, /, *, options: FleetOptions = NO_OPTIONS) -> int:
     """Stop any mission, also one that somebody else started; the aircraft hovers. Needs no lease.
 
     Args:
@@ -283,12 +278,8 @@ def stop(name: str, /, *, options: FleetOptions = NO_OPTIONS) -> int:
 
 
 @missions.command
-def progress(name: str, /, *, options: FleetOptions = NO_OPTIONS) -> int:
-    """Show the progress of the mission.
-
-    Args:
-        name: Name of the aircraft.
-    """
+def progress(name: Name, /, *, options: FleetOptions = NO_OPTIONS) -> int:
+    """Show the progress of the mission."""
 
     async def run() -> int:
         async with options.open() as fleet:

@@ -238,7 +238,7 @@ class AccessOptions(
 
 
 def console(
-    *names: str,
+    *names: Names,
     options: FleetOptions = NO_OPTIONS,
     page: PageOptions = IN_BROWSER,
     access: AccessOptions = AccessOptions(),
@@ -249,9 +249,6 @@ def console(
     board flies what you steer, under its lease and its guards. The aircraft that you look at sends
     every package, the others each item five times a second. When the command ends, it gives control
     back: the aircraft that was flown hovers.
-
-    Args:
-        names: Names of aircraft.
     """
     known = {one.name for one in fields(Settings)}
     asked = {**vars(page), **vars(access)}
@@ -386,7 +383,6 @@ def push(
     again when it is back.
 
     Args:
-        names: Names of aircraft.
         everybody: All that are present.
         folder: Folder with revoked.list; that of --pki by default.
     """

@@ -17,6 +17,7 @@ from m100link.apps.cli.fleet import (
     Begun,
     FleetOptions,
     Left,
+    Name,
     Names,
     results_of,
     tell_results,
@@ -122,40 +123,25 @@ def _each(
 
 @app.command
 def takeoff(*names: Names, everybody: All = False, options: FleetOptions = NO_OPTIONS) -> int:
-    """Let aircraft take off, all at once; each hovers at about 1.2 m, and control goes back.
-
-    Args:
-        names: Names of aircraft.
-        everybody: All of them.
-    """
+    """Let aircraft take off, all at once; each hovers at about 1.2 m, and control goes back."""
     return _each(names, everybody, options, FleetAircraft.take_off, _TAKE_OFF)
 
 
 @app.command
 def land(*names: Names, everybody: All = False, options: FleetOptions = NO_OPTIONS) -> int:
-    """Land aircraft, all at once, without a question, even while others control them.
-
-    Args:
-        names: Names of aircraft.
-        everybody: All of them.
-    """
+    """Land aircraft, all at once, without a question, even while others control them."""
     return _each(names, everybody, options, FleetAircraft.land, _LANDING)
 
 
 @app.command
 def stop(*names: Names, everybody: All = False, options: FleetOptions = NO_OPTIONS) -> int:
-    """Stop aircraft, all at once, even while others control them: each hovers.
-
-    Args:
-        names: Names of aircraft.
-        everybody: All of them.
-    """
+    """Stop aircraft, all at once, even while others control them: each hovers."""
     return _each(names, everybody, options, FleetAircraft.stop, _STOP)
 
 
 @app.command
 def goto(
-    name: str,
+    name: Name,
     latitude: Annotated[float, Parameter(allow_leading_hyphen=True)],
     longitude: Annotated[float, Parameter(allow_leading_hyphen=True)],
     height: Annotated[float, Above0],
@@ -167,7 +153,6 @@ def goto(
     """Let one aircraft fly straight to a position and hover there; its agent steers on board.
 
     Args:
-        name: Name of the aircraft.
         latitude: Degrees, WGS 84.
         longitude: Degrees, WGS 84.
         height: Metres above the take-off point.

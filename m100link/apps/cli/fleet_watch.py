@@ -21,6 +21,7 @@ from m100link.apps.cli.fleet import (
     NO_OPTIONS,
     All,
     FleetOptions,
+    Name,
     Names,
     results_of,
     say,
@@ -125,17 +126,13 @@ def _table(fleet: Fleet, heard: FleetTelemetry) -> Table:
 
 
 def watch(
-    name: str,
+    name: Name,
     /,
     *,
     duration: AtMost = None,
     options: FleetOptions = NO_OPTIONS,
 ) -> int:
-    """Print every telemetry package of one aircraft until Ctrl-C: one JSON object for each.
-
-    Args:
-        name: Name of the aircraft.
-    """
+    """Print every telemetry package of one aircraft until Ctrl-C: one JSON object for each."""
 
     async def run() -> None:
         ended = Ended()
@@ -175,13 +172,12 @@ def _package(sample: Sample) -> dict[str, Any]:
     return values
 
 
-def lease(name: str, /, *, take_over: bool = False, options: FleetOptions = NO_OPTIONS) -> int:
+def lease(name: Name, /, *, take_over: bool = False, options: FleetOptions = NO_OPTIONS) -> int:
     """Take control of one aircraft and hold it, hovering, until Ctrl-C.
 
     Meanwhile `fleet mission upload` and `start` of the same account act under this lease.
 
     Args:
-        name: Name of the aircraft.
         take_over: Take control from its holder, in one step.
     """
 
@@ -213,12 +209,7 @@ def _failures(results: dict[str, Result], options: FleetOptions) -> int:
 
 @app.command(name="list")
 def list_(*names: Names, everybody: All = False, options: FleetOptions = NO_OPTIONS) -> int:
-    """List the flight logs on board, the newest first.
-
-    Args:
-        names: Names of aircraft.
-        everybody: All of them.
-    """
+    """List the flight logs on board, the newest first."""
 
     async def run() -> int:
         results = await results_of(names, everybody, options, FleetAircraft.logs)
@@ -257,8 +248,6 @@ def fetch(
     command continues. A log that is still being written is fetched up to its current end.
 
     Args:
-        names: Names of aircraft.
-        everybody: All of them.
         last: The newest log of each, as without --file.
         file: The log of that name, as `m100link fleet log list` shows it.
         to: Folder for the file.
