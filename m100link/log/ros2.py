@@ -28,6 +28,7 @@ from m100link.protocol.records import (
     Position,
     RemoteControl,
     Velocity,
+    in_body,
     quaternion,
 )
 from m100link.protocol.setpoint import (
@@ -61,22 +62,24 @@ _VECTOR = dict.fromkeys("xyz", 0.0)
 _ROTATION = dict.fromkeys("xyzw", 0.0)
 _TWIST = {"linear": _VECTOR, "angular": _VECTOR}
 _POSE = {"position": _VECTOR, "orientation": _ROTATION}
+_FIX_MESSAGE: dict[str, Any] = {
+    "status": {"status": 0, "service": _GPS},
+    **dict.fromkeys(("latitude", "longitude", "altitude"), 0.0),
+    "position_covariance": _UNKNOWN,
+    "position_covariance_type": 0,
+}
+_BATTERY: dict[str, Any] = {
+    **dict.fromkeys(("voltage", "temperature", "current"), math.nan),
+    **dict.fromkeys(("charge", "capacity", "design_capacity"), math.nan),
+    "percentage": math.nan,
+    **{f"power_supply_{what}": 0 for what in ("status", "health", "technology")},
+    "present": True,
+    **{"cell_voltage": [], "cell_temperature": [], "location": "", "serial_number": ""},
+}
 
 
-def in_body(enu_flu_xyzw: tuple[float, float, float, float], enu: Vector) -> Vector:
-    """A ground vector, east, north, up, in body axes: forward, left, up.
-
-    ``enu_flu_xyzw``: the attitude, as :attr:`m100link.Attitude.enu_flu_xyzw` has it.
-    """
-    x, y, z, w = enu_flu_xyzw
-    a, b, c = enu
-    # The inverse rotation: t = 2 v × q, then v + w t + t × q.
-    tx, ty, tz = 2 * (b * z - c * y), 2 * (c * x - a * z), 2 * (a * y - b * x)
-    return (
-        a + w * tx + ty * z - tz * y,
-        b + w * ty + tz * x - tx * z,
-        c + w * tz + tx * y - ty * x,
-    )
+def _charge(battery: Battery) -> float:
+    return battery.percent / 100.0 if battery.is_possible else math.nan
 
 
 class Messages:
@@ -109,14 +112,8 @@ class Messages:
 
     @cached_property
     def _fix(self) -> Template:
-        place = ("latitude", "longitude", "altitude")
-        return self._stamped(
-            *("sensor_msgs/NavSatFix", self.body, "status.status", *place),
-            status={"status": 0, "service": _GPS},
-            **dict.fromkeys(place, 0.0),
-            position_covariance=_UNKNOWN,
-            position_covariance_type=0,
-        )
+        changing = ("status.status", "latitude", "longitude", "altitude")
+        return self._stamped("sensor_msgs/NavSatFix", self.body, *changing, **_FIX_MESSAGE)
 
     def fix(self, stamp: Stamp, position: Position) -> bytes:
         """sensor_msgs/NavSatFix; the altitude is the aircraft's, by its barometer."""
@@ -244,24 +241,11 @@ class Messages:
 
     @cached_property
     def _battery(self) -> Template:
-        unknown = ("voltage", "temperature", "current", "charge", "capacity", "design_capacity")
-        kinds = ("power_supply_status", "power_supply_health", "power_supply_technology")
-        return self._stamped(
-            *("sensor_msgs/BatteryState", self.body, "percentage"),
-            **dict.fromkeys(unknown, math.nan),
-            percentage=0.0,
-            **dict.fromkeys(kinds, 0),
-            present=True,
-            cell_voltage=[],
-            cell_temperature=[],
-            location="",
-            serial_number="",
-        )
+        return self._stamped("sensor_msgs/BatteryState", self.body, "percentage", **_BATTERY)
 
     def battery(self, stamp: Stamp, battery: Battery) -> bytes:
         """sensor_msgs/BatteryState: the wire has the percentage alone; NaN beyond 100 %."""
-        charge = battery.percent / 100.0 if battery.is_possible else math.nan
-        return self._battery.fill(stamp, (charge,))
+        return self._battery.fill(stamp, (_charge(battery),))
 
     def joy(self, stamp: Stamp, rc: RemoteControl) -> bytes:
         """sensor_msgs/Joy of the remote: roll, pitch, yaw, throttle; mode switch and gear raw.
@@ -329,13 +313,11 @@ def _dji_imu(sample: Sample) -> dict[str, Any] | None:
 
 
 def _dji_fix(position: Position) -> dict[str, Any]:
-    return {
+    return _FIX_MESSAGE | {
         "status": {"status": _FIX if has_fix(position) else _NO_FIX, "service": _GPS},
         "latitude": position.latitude_deg,
         "longitude": position.longitude_deg,
         "altitude": position.altitude_m,
-        "position_covariance": _UNKNOWN,
-        "position_covariance_type": 0,
     }
 
 
@@ -352,14 +334,7 @@ def _dji_remote(rc: RemoteControl) -> dict[str, Any]:
 
 def battery_state(battery: Battery, whole: float = 1.0) -> dict[str, Any]:
     """A ``sensor_msgs/BatteryState``; ``whole``: the percentage of a full battery."""
-    unknown = ("voltage", "temperature", "current", "charge", "capacity", "design_capacity")
-    return {
-        **dict.fromkeys(unknown, math.nan),
-        "percentage": whole * battery.percent / 100.0 if battery.is_possible else math.nan,
-        **{f"power_supply_{what}": 0 for what in ("status", "health", "technology")},
-        "present": True,
-        **{"cell_voltage": [], "cell_temperature": [], "location": "", "serial_number": ""},
-    }
+    return _BATTERY | {"percentage": whole * _charge(battery)}
 
 
 DJI_TOPICS: Mapping[str, DjiTopic] = {

@@ -127,6 +127,25 @@ def quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, flo
     )
 
 
+def in_body(
+    xyzw: tuple[float, float, float, float], ground: tuple[float, float, float]
+) -> tuple[float, float, float]:
+    """A vector of the ground in the axes of the body.
+
+    ``xyzw``: how the body is turned, scalar last: :attr:`Attitude.xyzw` for north, east, down and
+    forward, right, down; :attr:`Attitude.enu_flu_xyzw` for the axes of ROS.
+    """
+    x, y, z, w = xyzw
+    a, b, c = ground
+    # The inverse rotation: t = 2 v × q, then v + w t + t × q.
+    tx, ty, tz = 2 * (b * z - c * y), 2 * (c * x - a * z), 2 * (a * y - b * x)
+    return (
+        a + w * tx + ty * z - tz * y,
+        b + w * ty + tz * x - tx * z,
+        c + w * tz + tx * y - ty * x,
+    )
+
+
 class _GroundVector:
     """Other views of a ground-frame vector whose first three fields are north, east, up."""
 

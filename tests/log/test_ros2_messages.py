@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from m100link.log.ros2 import Messages, in_body
+from m100link.log.ros2 import Messages
 from m100link.protocol.records import (
     Acceleration,
     AngularVelocity,
@@ -17,6 +17,7 @@ from m100link.protocol.records import (
     Position,
     RemoteControl,
     Velocity,
+    in_body,
 )
 
 typesys: Any = pytest.importorskip("rosbags.typesys", reason="the judge is not installed")

@@ -12,7 +12,7 @@ from random import Random
 
 from m100link.geodesy import LocalFrame
 from m100link.protocol.firmware import FirmwareProfile
-from m100link.protocol.records import AccelerationMode, Device, quaternion
+from m100link.protocol.records import AccelerationMode, Device, in_body, quaternion
 from m100link.sim.vehicle.dynamics import GRAVITY, STEPS_PER_SECOND
 from m100link.sim.vehicle.flight import GOOD_GPS, FlightController
 from m100link.sim.vehicle.gimbal import GimbalMount
@@ -197,20 +197,10 @@ class Sensors:
     def _specific_force(self) -> Values:
         """The force per mass that keeps it from falling: forward, right, down, m/s²."""
         motion = self._motion
-        north, east = motion.acceleration_north, motion.acceleration_east
-        down = -motion.acceleration_up - GRAVITY
         q0, q1, q2, q3 = motion.quaternion()
-        return (
-            (1 - 2 * (q2 * q2 + q3 * q3)) * north
-            + 2 * (q1 * q2 + q0 * q3) * east
-            + 2 * (q1 * q3 - q0 * q2) * down,
-            2 * (q1 * q2 - q0 * q3) * north
-            + (1 - 2 * (q1 * q1 + q3 * q3)) * east
-            + 2 * (q2 * q3 + q0 * q1) * down,
-            2 * (q1 * q3 + q0 * q2) * north
-            + 2 * (q2 * q3 - q0 * q1) * east
-            + (1 - 2 * (q1 * q1 + q2 * q2)) * down,
-        )
+        down = -motion.acceleration_up - GRAVITY
+        ground = motion.acceleration_north, motion.acceleration_east, down
+        return in_body((q1, q2, q3, q0), ground)
 
     def _read_velocity(self) -> Values:
         motion = self._motion

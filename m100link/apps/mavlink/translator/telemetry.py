@@ -282,19 +282,7 @@ def _felt(
 ) -> tuple[float, float, float]:
     """The reading of an accelerometer in the body: without gravity nobody takes it for one."""
     north, east, down = acceleration.ned
-    down -= 9.80665
-    q0, q1, q2, q3 = attitude
-    return (
-        (1 - 2 * (q2 * q2 + q3 * q3)) * north
-        + 2 * (q1 * q2 + q0 * q3) * east
-        + 2 * (q1 * q3 - q0 * q2) * down,
-        2 * (q1 * q2 - q0 * q3) * north
-        + (1 - 2 * (q1 * q1 + q3 * q3)) * east
-        + 2 * (q2 * q3 + q0 * q1) * down,
-        2 * (q1 * q3 + q0 * q2) * north
-        + 2 * (q2 * q3 - q0 * q1) * east
-        + (1 - 2 * (q1 * q1 + q2 * q2)) * down,
-    )
+    return records.in_body(attitude.xyzw, (north, east, down - 9.80665))
 
 
 @dataclass(frozen=True, slots=True)
