@@ -70,9 +70,9 @@ from m100link.apps.mavlink.translator.codec import (
     MavlinkMessage,
     MessageReader,
     PacketSigner,
+    SignatureMemory,
     Snapshot,
     ending_command,
-    Snapshot,
     write_frame,
 )
 from m100link.apps.ros2.graph import read_attachment, write_attachment
