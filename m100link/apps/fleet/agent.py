@@ -16,9 +16,9 @@ import zlib
 from collections import Counter, deque
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import fields, replace
+from dataclasses import replace
 from functools import partial
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import m100link
 from m100link.apps.agent import orders
@@ -33,7 +33,7 @@ from m100link.apps.fleet.keys import Keys
 from m100link.apps.fleet.lost_link import LastFlight, LostLinkAction, LostLinkPlan
 from m100link.apps.fleet.missions.manager import MissionManager
 from m100link.apps.fleet.order_log import OrderCache, OrderLog
-from m100link.apps.fleet.orders import Done, OrderService
+from m100link.apps.fleet.orders import OrderService
 from m100link.apps.fleet.publisher import WALL_WITHIN_S, Thinner
 from m100link.errors import M100Error, NotAllowed, OutcomeUnknown, UsageError
 from m100link.protocol.records import Battery, Position
@@ -300,7 +300,7 @@ class FleetAgent:
             if not is_repeated:
                 self._begin(order)
         except M100Error as error:
-            refused = replace(self._reply("", error), clock=self.client.now)
+            refused = self._reply("", error, clock=self.client.now)
             question.answer(key, payloads.pack(refused))
             return
         await self._wait(order.id)
@@ -347,7 +347,7 @@ class FleetAgent:
             if asked.is_kept:
                 await self._order_log.begin(order.id)
                 self._ages.check(order.clock, self.client.now)
-            self._end(order, None, await self._orders.carry_out(order, asked))
+            self._end(order, None, **await self._orders.carry_out(order, asked))
         except M100Error as error:
             self._end(order, error)
         except BaseException:
@@ -357,18 +357,12 @@ class FleetAgent:
         finally:
             del self._running[order.id]
 
-    def _end(
-        self, order: payloads.OrderMessage, error: M100Error | None, done: Done | None = None
-    ) -> None:
-        reply = replace(self._reply(order.id, error, done), order=order.digest)
+    def _end(self, order: payloads.OrderMessage, error: M100Error | None, **more: Any) -> None:
+        reply = self._reply(order.id, error, order=order.digest, **more)
         self._order_cache.end(reply, self.client.now)
 
-    def _reply(
-        self, identity: str, error: M100Error | None, done: Done | None = None
-    ) -> payloads.OrderReply:
-        done = done or Done()
-        values = {one.name: getattr(done, one.name) for one in fields(done)}
-        return payloads.OrderReply.done(identity, self._keys.name, self.boot, error, **values)
+    def _reply(self, identity: str, error: M100Error | None, **more: Any) -> payloads.OrderReply:
+        return payloads.OrderReply.done(identity, self._keys.name, self.boot, error, **more)
 
     async def _wait(self, identity: str) -> None:
         if identity in self._running:  # where it runs on, the reply says so
@@ -380,7 +374,7 @@ class FleetAgent:
             if self._order_cache.is_known(identity):
                 progress = payloads.Progress.RUNNING
             elif self._order_cache.was_begun_before(identity):
-                return replace(self._reply(identity, _begun_before()), clock=self.client.now)
+                return self._reply(identity, _begun_before(), clock=self.client.now)
             else:
                 progress = payloads.Progress.NEVER
             reply = payloads.OrderReply(identity, self._keys.name, self.boot, progress)

@@ -92,7 +92,9 @@ class LostLinkAction:
         self._is_line_lost = False
         if change.number:
             if not self._is_descending:
-                self._stand_down()
+                if self._waiting is not None:
+                    self._waiting.cancel()
+                    self._waiting = None
                 self._last_flight.flown_under(change.number if was_flying else 0)
             return
         if change.why in _LOST and was_flying:
@@ -103,11 +105,6 @@ class LostLinkAction:
     @property
     def _is_waiting(self) -> bool:
         return self._waiting is not None and not self._waiting.done()
-
-    def _stand_down(self) -> None:
-        if self._waiting is not None:
-            self._waiting.cancel()
-            self._waiting = None
 
     def _bereave(self) -> None:
         task = _TASKS.get(self._plan.action)

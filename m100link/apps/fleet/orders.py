@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import asyncio
 from dataclasses import dataclass, field
+from typing import Any
 
 from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.control_session import ControlSession
 from m100link.apps.agent.lease import Flown, Lease
-from m100link.apps.agent.messages import MessageError, RemoteError, fault_of
+from m100link.apps.agent.messages import MessageError, fault_of
 from m100link.apps.fleet.identity import Since, nobody
 from m100link.apps.fleet.missions.manager import MissionManager
 from m100link.apps.fleet.order_log import OrderLog
@@ -23,13 +24,8 @@ from m100link.errors import M100Error, NotAllowed, StaleLease
 _LOOK_S = 0.1
 
 
-@dataclass(frozen=True, slots=True)
-class Done:
-    text: str = ""  # where it is a text
-    number: int = 0  # where it is a number
-    offer: str = ""  # what confirms a take-over
-    key: bytes = b""  # public half of the secret of a lease
-    fault: RemoteError | None = None  # why the last setpoint was not flown
+Answer = dict[str, Any]
+"""The fields of :class:`~m100link.apps.fleet.payloads.OrderReply` that say what was asked for."""
 
 
 @dataclass(slots=True)
@@ -82,7 +78,7 @@ class OrderService:
                 found = granted.signer
         return found
 
-    async def carry_out(self, order: OrderMessage, asked: orders.Order) -> Done:
+    async def carry_out(self, order: OrderMessage, asked: orders.Order) -> Answer:
         """Do what is asked for.
 
         Raises StaleLease: it needs the lease, and came without. Raises M100Error: as the agent
@@ -94,14 +90,14 @@ class OrderService:
                 return await self._granted(order, asked)
             case orders.AskTakeOver():
                 offer = await client.ask_take_over(order.by, order.wanted_at)
-                return Done(offer.from_name, offer.number, offer.token)
+                return {"text": offer.from_name, "number": offer.number, "offer": offer.token}
             case orders.ReleaseLease():
                 await client.release_lease(self.require_lease(order).token)
             case orders.RenewLease():
                 lease = self.require_lease(order)
                 await client.ask(orders.RenewLease(lease.token))
                 refused, self.refused = self.refused, None
-                return Done(lease.name, lease.number, fault=fault_of(refused))
+                return {"text": lease.name, "number": lease.number, "fault": fault_of(refused)}
             case orders.LeaseOrder():  # its token, which is no proof here, goes to no agent
                 raise MessageError(f"a fleet has no order {asked.label}")
             case orders.Stop():
@@ -116,26 +112,27 @@ class OrderService:
                 orders.require_newer(asked, order.clock, client.stopped_at)
                 await self.descend(asked, f"landing for {order.by}", signer=order.signer)
             case orders.UploadPlan():
-                return Done(await self.missions.upload(self.require_lease(order), asked, order.by))
+                lease = self.require_lease(order)
+                return {"text": await self.missions.upload(lease, asked, order.by)}
             case _:
                 self._underway += 1
                 try:
                     return await self._do(asked, self.lease_for(order, asked), order.wanted_at)
                 finally:
                     self._underway -= 1
-        return Done()
+        return {}
 
-    async def _do(self, asked: orders.Order, lease: Lease | None, at: float | None) -> Done:
+    async def _do(self, asked: orders.Order, lease: Lease | None, at: float | None) -> Answer:
         # By when it was asked for: a STOP since then may not have been heard here.
         if isinstance(asked, orders.Activate) and self._client.state.is_activated:
-            return Done()
+            return {}
         if isinstance(asked, orders.StartMission) and lease is not None:
             await self.missions.start(lease, asked, at)
-            return Done()
+            return {}
         outcome = await self._client.ask(asked, lease, asked_at=at)
         if isinstance(asked, orders.PauseMission | orders.ResumeMission):
             self.missions.paused(is_paused=isinstance(asked, orders.PauseMission))
-        return Done(outcome.text, outcome.number)
+        return {"text": outcome.text, "number": outcome.number}
 
     # -- the lease -------------------------------------------------------------------------------
 
@@ -163,7 +160,7 @@ class OrderService:
             raise StaleLease(f"lease {order.fence} is not in force; {who} has control")
         return lease
 
-    async def _granted(self, order: OrderMessage, asked: orders.LeaseOrder) -> Done:
+    async def _granted(self, order: OrderMessage, asked: orders.LeaseOrder) -> Answer:
         key, secret = agree(order)  # before anything is taken from anybody
         if isinstance(asked, orders.ConfirmTakeOver):
             lease = await self._client.confirm(asked.token, order.wanted_at)
@@ -175,7 +172,7 @@ class OrderService:
             raise NotAllowed(f"{order.signer} is revoked since {since}")
         self.leases[lease.number] = Granted(lease, secret, order.signer)
         await self._order_log.granted(lease.number)
-        return Done(lease.name, lease.number, key=key)
+        return {"text": lease.name, "number": lease.number, "key": key}
 
     # -- down ------------------------------------------------------------------------------------
 

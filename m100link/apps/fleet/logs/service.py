@@ -16,6 +16,7 @@ from collections import OrderedDict
 from collections.abc import Awaitable, Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from io import FileIO
 from pathlib import Path
 from typing import Any, TypeVar
@@ -171,7 +172,8 @@ class LogService:
         if task is None:
             if any(not one.done() for one in self._digests.values()):
                 return self._reply(order, again_s=_DIGEST_S)
-            task = self._background.spawn(self._digested(*wanted), f"digest of {question.log}")
+            digest = partial(self._directory.digest, *wanted, lambda: not self._is_ended)
+            task = self._background.spawn(self._apart.do(digest), f"digest of {question.log}")
             self._digests[wanted] = task
             while len(self._digests) > _MOST_DIGESTS:
                 self._digests.popitem(last=False)
@@ -181,11 +183,6 @@ class LogService:
         if task.cancelled() or task.exception() is not None:
             del self._digests[wanted]  # another time the disk may do it
         return self._reply(order, await task, size=question.length)
-
-    async def _digested(self, log: str, length: int) -> bytes:
-        return await self._apart.do(
-            lambda: self._directory.digest(log, length, lambda: not self._is_ended)
-        )
 
     def _reply(self, order: OrderMessage, data: bytes = b"", **fields: Any) -> bytes:
         return pack_reply(LogReply(order.id, self._keys.name, **fields), data)

@@ -303,6 +303,7 @@ def _alone(track: TimedTrack, envelope: Envelope) -> Iterator[BadShow]:
         yield _too_much(track, 1, upright, CLIMB_M_S)
     for leg in track.legs:
         if leg.hardest_m_s2 > ACCELERATION_M_S2:
+            needed_s = leg.duration * math.sqrt(leg.hardest_m_s2 / ACCELERATION_M_S2)
             yield BadShow(
                 f"{track.name} accelerates by {leg.hardest_m_s2:.1f} m/s² between {leg.begin:g} "
                 f"and {leg.end:g} s; {ACCELERATION_M_S2:g} m/s² are allowed",
@@ -310,15 +311,9 @@ def _alone(track: TimedTrack, envelope: Envelope) -> Iterator[BadShow]:
                 at=leg.begin,
                 measured=leg.hardest_m_s2,
                 limit=ACCELERATION_M_S2,
-                remedy=f"give it {leg.duration * _slower(leg.hardest_m_s2):.1f} s, or add points "
-                "where it turns",
+                remedy=f"give it {needed_s:.1f} s, or add points where it turns",
             )
             return  # the others are mostly neighbours of the same corner
-
-
-def _slower(acceleration: float) -> float:
-    """How much longer a leg has to take."""
-    return math.sqrt(acceleration / ACCELERATION_M_S2)
 
 
 def _too_much(track: TimedTrack, which: int, speed: float, limit: float) -> BadShow:

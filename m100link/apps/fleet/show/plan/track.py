@@ -337,10 +337,6 @@ def _from_column(place: Vector) -> float:
     return math.hypot(north, east, max(0.0, up))
 
 
-def _on_the_ground(place: Vector) -> float:
-    return math.hypot(place[0], place[1])
-
-
 def apart(first: Vector, second: Vector, *, first_ended: bool, second_ended: bool) -> float:
     """How far two places are from each other, m.
 
@@ -355,19 +351,10 @@ def apart(first: Vector, second: Vector, *, first_ended: bool, second_ended: boo
 def _metric(first_ended: bool, second_ended: bool) -> tuple[Metric, float]:
     """The measure of their distance, and the sign of the way from the first."""
     if first_ended and second_ended:
-        return _on_the_ground, 1.0
+        return lambda place: math.hypot(place[0], place[1]), 1.0  # seen from above
     if first_ended:
         return _from_column, 1.0
     return (_from_column, -1.0) if second_ended else (_between, 1.0)
-
-
-def _apart_at(first: TimedTrack, second: TimedTrack, at: float) -> float:
-    return apart(
-        first.moment(at).place,
-        second.moment(at).place,
-        first_ended=at >= first.end,
-        second_ended=at >= second.end,
-    )
 
 
 def closest(
@@ -378,11 +365,13 @@ def closest(
     ``below``: farther is of no interest: None then, and quickly.
     """
     last = max(first.end, second.end)
-    found = (_apart_at(first, second, last), last)  # hovering or landing, from then on
-    for begin, end in pairwise(_breaks(first, second)):
+    ends = first.moment(last).place, second.moment(last).place
+    # Hovering or landing, from then on.
+    found = (apart(*ends, first_ended=True, second_ended=True), last)
+    times = {0.0, *(point.at for track in (first, second) for point in track.points)}
+    for begin, end in pairwise(sorted(times)):
         metric, sign = _metric(begin >= first.end, begin >= second.end)
-        a, b = _piece(first, begin, end), _piece(second, begin, end)
-        curve = _apart(a, b, sign)
+        curve = _apart(_piece(first, begin, end), _piece(second, begin, end), sign)
         least = _least(curve, begin, end, metric, min(found[0], below))
         found = min(found, least, key=itemgetter(0))
     return found if found[0] < below else None
@@ -397,11 +386,6 @@ def under(
             found = closest(first, second, below=needed(first, second))
             if found is not None:
                 yield first, second, *found
-
-
-def _breaks(first: TimedTrack, second: TimedTrack) -> list[float]:
-    times = {0.0, *(point.at for track in (first, second) for point in track.points)}
-    return sorted(times)
 
 
 def _piece(track: TimedTrack, begin: float, end: float) -> Cubic:
