@@ -260,14 +260,18 @@ class AgentClient:
             messages.Hello: self._on_hello,
             messages.State: self._on_state,
             messages.Telemetry: self._on_telemetry,
-            messages.MobileMessage: self._on_from_mobile,
+            messages.MobileMessage: lambda one: self._from_mobile.publish(one.data, self.now),
             messages.Event: self._on_event,
             messages.LinkCounted: partial(setattr, self, "link"),
             messages.LeaseChanged: self._on_lease_changed,
             messages.OrderOutcome: self._answers.outcome,
-            messages.Activating: self._on_activating,
+            messages.Activating: lambda one: call_each(
+                self.on_activating, ActivationCode(one.code)
+            ),
             messages.AuthorityTaken: self._on_authority_taken,
-            messages.SteerRefused: self._on_steer_refused,
+            messages.SteerRefused: lambda one: call_each(
+                self.on_steer_refused, one.fence, one.fault.error()
+            ),
             messages.MissionReport: partial(call_each, self.on_mission_report),
             messages.PlanChanged: self._on_plan_changed,
         }
@@ -393,9 +397,6 @@ class AgentClient:
         call_each(self.on_sample, sample)
         self._samples.publish(sample, self.now)
 
-    def _on_from_mobile(self, message: messages.MobileMessage) -> None:
-        self._from_mobile.publish(message.data, self.now)
-
     def _on_event(self, event: messages.Event) -> None:
         if event.at <= self._known_until:
             return
@@ -412,16 +413,10 @@ class AgentClient:
         self.holder = message
         call_each(self.on_lease, message)
 
-    def _on_activating(self, message: messages.Activating) -> None:
-        call_each(self.on_activating, ActivationCode(message.code))
-
     def _on_authority_taken(self, message: messages.AuthorityTaken) -> None:
         error = message.fault.error()
         if isinstance(error, AuthorityLost):
             call_each(self.on_authority_taken, error)
-
-    def _on_steer_refused(self, message: messages.SteerRefused) -> None:
-        call_each(self.on_steer_refused, message.fence, message.fault.error())
 
     def _on_plan_changed(self, message: messages.PlanChanged) -> None:
         self.plan, self.plan_by = None, message.name

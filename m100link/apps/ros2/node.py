@@ -28,7 +28,7 @@ from m100link.apps.ros2.endpoints import (
 from m100link.apps.ros2.graph import ADMIN, GraphDiscovery, Names, NodeName
 from m100link.apps.ros2.parameters import Parameters
 from m100link.apps.ros2.publishers import ALL_OUTPUTS, MessageMaker
-from m100link.apps.ros2.services import GimbalServices, MissionServices, angles_of
+from m100link.apps.ros2.services import GimbalServices, angles_of, mission_services
 from m100link.apps.ros2.topics import DJI_OUTPUTS, INPUTS, SERVICES
 from m100link.errors import M100Error, UsageError
 from m100link.protocol.records import Position
@@ -100,7 +100,7 @@ class Node:
         }
         self._inputs = [(name, inputs[name], make) for name, make in takes.items()]
         self._payload = GimbalServices(agent, self.control, inputs["~/gimbal_speed"], self._tell)
-        for name, call in (self._calls() | MissionServices(self.control).calls()).items():
+        for name, call in (self._calls() | mission_services(self.control)).items():
             row = SERVICES[name]
             self.ends.serve(names.full(name), row.kind, call, ends=row.ends)
         self.actions = Actions(

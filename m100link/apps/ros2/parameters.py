@@ -62,9 +62,13 @@ class Parameters:
                 self._add_rate(topic, teller)
         services: dict[str, Callable[[dict[str, Any]], Mapping[str, Any]]] = {
             "list_parameters": self._list,
-            "get_parameters": self._get,
-            "get_parameter_types": self._types,
-            "describe_parameters": self._describe,
+            "get_parameters": lambda asked: {"values": [*map(self._value, asked["names"])]},
+            "get_parameter_types": lambda asked: {
+                "types": [self._value(one)["type"] for one in asked["names"]]
+            },
+            "describe_parameters": lambda asked: {
+                "descriptors": [*map(self._described, asked["names"])]
+            },
             "set_parameters": lambda asked: {
                 "results": [self._set([one]) for one in asked["parameters"]]
             },
@@ -96,15 +100,6 @@ class Parameters:
         if row is None or value is None:
             return _EMPTY
         return {**_EMPTY, "type": row.kind, _FIELDS[row.kind]: value}
-
-    def _get(self, asked: dict[str, Any]) -> Mapping[str, Any]:
-        return {"values": [self._value(one) for one in asked["names"]]}
-
-    def _types(self, asked: dict[str, Any]) -> Mapping[str, Any]:
-        return {"types": [self._value(one)["type"] for one in asked["names"]]}
-
-    def _describe(self, asked: dict[str, Any]) -> Mapping[str, Any]:
-        return {"descriptors": [self._described(one) for one in asked["names"]]}
 
     def _described(self, name: str) -> Mapping[str, Any]:
         row = self._rows.get(name)

@@ -35,32 +35,28 @@ ACTIONS: Mapping[str, Callable[[float], waypoint.WaypointAction]] = {
 """The actions at a point, in the order of the numbers of m100_msgs/msg/MissionAction."""
 
 
-class MissionServices:
-    def __init__(self, control: RosControl) -> None:
-        self._control = control
+def mission_services(control: RosControl) -> dict[str, Call]:
+    """The services, by the names of the table."""
 
-    def calls(self) -> dict[str, Call]:
-        """The services, by the names of the table."""
-        return {
-            "~/mission/upload": answering(self._upload, "it waits for its start"),
-            "~/mission/start": answering(self._start, "it flies"),
-            "~/mission/pause": self._order(orders.PauseMission(), "it hovers"),
-            "~/mission/resume": self._order(orders.ResumeMission(), "it flies on"),
-            "~/mission/stop": self._order(orders.StopMission(), "it is over: the aircraft hovers"),
-        }
+    async def upload(request: Mapping[str, Any]) -> None:
+        control.session.held()
+        await control.do(orders.UploadPlan.of(plan_of(request)))
 
-    def _order(self, order: orders.Order, done: str) -> Call:
-        return trigger(lambda: self._control.do(order), done)
+    async def start(request: Mapping[str, Any]) -> None:
+        control.session.held()
+        control.require_free("a mission")
+        await control.do(orders.StartMission(control.session.uploaded, request["take_off"]))
 
-    async def _upload(self, request: Mapping[str, Any]) -> None:
-        self._control.session.held()
-        await self._control.do(orders.UploadPlan.of(plan_of(request)))
+    def order(order: orders.Order, done: str) -> Call:
+        return trigger(lambda: control.do(order), done)
 
-    async def _start(self, request: Mapping[str, Any]) -> None:
-        session = self._control.session
-        session.held()
-        self._control.require_free("a mission")
-        await self._control.do(orders.StartMission(session.uploaded, request["take_off"]))
+    return {
+        "~/mission/upload": answering(upload, "it waits for its start"),
+        "~/mission/start": answering(start, "it flies"),
+        "~/mission/pause": order(orders.PauseMission(), "it hovers"),
+        "~/mission/resume": order(orders.ResumeMission(), "it flies on"),
+        "~/mission/stop": order(orders.StopMission(), "it is over: the aircraft hovers"),
+    }
 
 
 def plan_of(request: Mapping[str, Any]) -> WaypointPlan:

@@ -115,7 +115,6 @@ class PlotHistory:
         self.count = 0  # of rows ever added; a reader begins with those it has not seen
         self._times = array("d", [math.nan]) * self._size
         self._columns = {name: array("d", [math.nan]) * self._size for name in COLUMNS}
-        self._lags: list[float] = []
         # Seconds that the event loop of this process was late, at worst in the last second.
         self.lag = 0.0
 
@@ -123,17 +122,15 @@ class PlotHistory:
         """Add a row ten times a second, until cancelled."""
         # The clock of the event loop stands still for nobody, and shows no date.
         to_utc = time.time() - agent.now
+        lags: list[float] = []
         while True:
             due = agent.now + INTERVAL
             await asyncio.sleep(INTERVAL)
-            self._note_lag(agent.now - due)
+            lags.append(max(0.0, agent.now - due))
+            if len(lags) >= 1.0 / INTERVAL:
+                self.lag = max(lags)
+                lags.clear()
             self.add(agent.now + to_utc, agent.view)
-
-    def _note_lag(self, lag: float) -> None:
-        self._lags.append(max(0.0, lag))
-        if len(self._lags) >= 1.0 / INTERVAL:
-            self.lag = max(self._lags)
-            self._lags.clear()
 
     def add(self, utc: float, view: VehicleView) -> None:
         """Add a row. ``utc``: seconds since 1970."""

@@ -179,12 +179,10 @@ class Page:
             for name, agent in self._context.tabs.agents.items()
         )
 
-    def _dropped(self) -> tuple[tuple[str, int], ...]:
-        tabs = self._context.tabs
-        return (*tabs.dropped().items(), *tabs.dropped_by_clients().items())
-
     def _view(self) -> ViewModel:
-        agent, tab = self._agent, self._tab
+        agent, tab, tabs = self._agent, self._tab, self._context.tabs
+        is_data = self._shown == "data"
+        dropped = (*tabs.dropped().items(), *tabs.dropped_by_clients().items()) if is_data else ()
         return view_of(
             Inputs(
                 vehicle=agent.view,
@@ -196,7 +194,7 @@ class Page:
                 front_lag=self._context.history.lag,
                 page_trip=tab.way.round_trip,
                 fleet=self._fleet(),
-                dropped=self._dropped() if self._shown == "data" else (),
+                dropped=dropped,
                 lease_end=tab.session.lease_end,
                 loss=tab.session.loss,
                 wall=time.time(),

@@ -125,10 +125,6 @@ def _gps(now: Situation) -> bool | None:
     return None if now.gps is None else now.gps < GOOD_GPS
 
 
-def _navigation(now: Situation) -> bool | None:
-    return bool(now.contradiction) if now.is_connected else None
-
-
 def _authority_lost(now: Situation) -> bool | None:
     if not now.is_connected:
         return None
@@ -232,7 +228,7 @@ ALARMS: tuple[Definition, ...] = (
         _N.NAVIGATION,
         _L.DANGER,
         lambda now: tr("alarms.navigation", what=now.contradiction),
-        _navigation,
+        lambda now: bool(now.contradiction) if now.is_connected else None,
         ends_after=1.0,
         within=_N.LINK_LOST,
     ),

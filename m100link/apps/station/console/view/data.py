@@ -82,17 +82,14 @@ def link_of(inputs: Inputs) -> LinkView:
         texts |= {name: _value(counted.counters.get(name, "–")) for name in _COUNTERS}
         causes = dict(sorted(counted.discards.items(), key=lambda one: -one[1]))
     fault = state.connection_fault
+    dropped = sorted(inputs.dropped, key=lambda client: (-client[1], client[0]))
     return LinkView(
         texts,
         tuple((_cause(cause), str(count)) for cause, count in causes.items()),
         _rates(inputs),
-        tuple((name, str(count)) for name, count in sorted(inputs.dropped, key=_most_first)),
+        tuple((name, str(count)) for name, count in dropped),
         str(fault.error()) if fault is not None else "",
     )
-
-
-def _most_first(client: tuple[str, int]) -> tuple[int, str]:
-    return -client[1], client[0]
 
 
 def _ms(seconds: float) -> Text:
