@@ -7,8 +7,6 @@ of its own, and telemetry goes to those alone, and to addresses that the setting
 from __future__ import annotations
 
 import asyncio
-import errno
-import ipaddress
 import socket
 import struct
 import time
@@ -31,7 +29,7 @@ from m100link.apps.mavlink.translator.codec import (
 )
 from m100link.apps.mavlink.translator.numbers import AUTOPILOT_PX4
 from m100link.apps.mavlink.translator.vehicle import MavlinkVehicle
-from m100link.errors import PortBusy, PortFailed, UsageError
+from m100link.errors import UsageError
 
 STEP_S = 0.02  # seconds between two steps: of setpoints, and of telemetry that is due
 
@@ -352,31 +350,6 @@ def read_address(url: str) -> Address:
     except OSError as error:
         raise UsageError(f"{host} has no address: {error.strerror or error}") from None
     return str(found), port
-
-
-def is_loopback(address: Address) -> bool:
-    """Whether only this machine reaches it."""
-    return ipaddress.ip_address(address[0]).is_loopback
-
-
-def bind(address: Address) -> socket.socket:
-    """A socket for datagrams.
-
-    Raises PortBusy, PortFailed: another program has the port, or the address cannot be bound.
-    """
-    one = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    one.setblocking(False)
-    try:
-        one.bind(address)
-    except OSError as error:
-        one.close()
-        kind = PortBusy if error.errno == errno.EADDRINUSE else PortFailed
-        raise kind(
-            f"{address[0]}:{address[1]} cannot be served: {error.strerror or error}",
-            cause="a ground station, or another bridge, listens there" if kind is PortBusy else "",
-            remedy="end it, choose another --listen, or reach a listening station by --to",
-        ) from error
-    return one
 
 
 class _Datagrams(asyncio.DatagramProtocol):

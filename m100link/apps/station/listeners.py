@@ -165,39 +165,40 @@ def open_sockets(
         opened[name] = FRONTS[name].load().prepare(stack, settings) if FRONTS[name].prepares else []
     for name, numbers in ports.items():
         for port in numbers:
-            opened[name].append(listen(settings.host, port))
-            stack.callback(opened[name][-1].close)
+            if not 0 <= port <= _LAST_PORT:
+                raise UsageError(
+                    f"there is no port {port}", remedy=f"choose 1 to {_LAST_PORT}, or 0 for any"
+                )
+            busy = "another station, or a real rosbridge, runs on this machine"
+            remedy = "end it, or choose another --port"
+            address = settings.host, port
+            one = bound(stack, address, socket.SOCK_STREAM, busy=busy, remedy=remedy)
+            one.listen(_BACKLOG)
+            opened[name].append(one)
     return Sockets(opened)
 
 
-def listen(host: str, port: int) -> socket.socket:
-    """A listening socket.
+def bound(
+    stack: AsyncExitStack, address: tuple[str, int], kind: int, *, busy: str, remedy: str
+) -> socket.socket:
+    """A socket at an address, closed with the stack; ``busy``: why another program may have it.
 
     Raises ``PortBusy, PortFailed``: another program has the port, or the address cannot be bound.
-    Raises ``UsageError``: there is no port of that number.
     """
-    if not 0 <= port <= _LAST_PORT:
-        raise UsageError(
-            f"there is no port {port}", remedy=f"choose 1 to {_LAST_PORT}, or 0 for any"
-        )
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    listening = socket.socket(family, socket.SOCK_STREAM)
-    listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    host, port = address
+    one = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET, kind)
+    stack.callback(one.close)
+    one.setblocking(False)
+    if kind == socket.SOCK_STREAM:
+        one.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
-        listening.bind((host, port))
+        one.bind(address)
     except OSError as error:
-        listening.close()
-        kind = PortBusy if error.errno == errno.EADDRINUSE else PortFailed
-        raise kind(
-            f"{host}:{port} cannot be served: {error.strerror or error}",
-            cause="another station, or a real rosbridge, runs on this machine"
-            if kind is PortBusy
-            else "",
-            remedy="end it, or choose another --port",
-        ) from error
-    listening.listen(_BACKLOG)
-    listening.setblocking(False)
-    return listening
+        seen = f"{host}:{port} cannot be served: {error.strerror or error}"
+        if error.errno == errno.EADDRINUSE:
+            raise PortBusy(seen, cause=busy, remedy=remedy) from error
+        raise PortFailed(seen, remedy=remedy) from error
+    return one
 
 
 # -- the fronts on them ----------------------------------------------------------------------------

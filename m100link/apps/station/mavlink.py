@@ -9,18 +9,12 @@ from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager
 
 from m100link.apps.agent.client import AgentClient
-from m100link.apps.mavlink.bridge import (
-    Bridge,
-    bind,
-    is_loopback,
-    read_address,
-    serving,
-    signature_time,
-)
+from m100link.apps.mavlink.bridge import Bridge, read_address, serving, signature_time
 from m100link.apps.mavlink.translator.codec import Address, PacketSigner, SignatureMemory, Snapshot
 from m100link.apps.mavlink.translator.numbers import AUTOPILOT_GENERIC, AUTOPILOT_PX4
 from m100link.apps.station.config import Settings
-from m100link.apps.station.listeners import Fronts, beside
+from m100link.apps.station.listeners import Fronts, beside, bound
+from m100link.apps.station.web.access_control import is_loopback
 from m100link.errors import UsageError
 from m100link.link.keyfile import read_key
 from m100link.log.folder import state_folder
@@ -49,7 +43,7 @@ def prepare(stack: AsyncExitStack, settings: Settings) -> list[socket.socket]:
         )
     addresses = [read_address(one) for one in settings.mavlink]
     for one in [*addresses, *map(read_address, settings.mavlink_to)]:
-        if not is_loopback(one) and settings.signing_key_file is None:
+        if not is_loopback(one[0]) and settings.signing_key_file is None:
             raise UsageError(
                 f"{one[0]} lets other machines fly the aircraft, and their messages are unsigned",
                 remedy="give --signing-key-file, or an address of this machine: 127.0.0.1",
@@ -57,12 +51,11 @@ def prepare(stack: AsyncExitStack, settings: Settings) -> list[socket.socket]:
     _signer(settings)
     if settings.mavlink_to and not addresses:
         addresses = [_ANY]
-    sockets = []
-    for address in addresses:
-        bound = bind(address)
-        stack.callback(bound.close)
-        sockets.append(bound)
-    return sockets
+    words = {
+        "busy": "a ground station, or another bridge, listens there",
+        "remedy": "end it, choose another --listen, or reach a listening station by --to",
+    }
+    return [bound(stack, address, socket.SOCK_DGRAM, **words) for address in addresses]
 
 
 def _signer(settings: Settings) -> PacketSigner | None:

@@ -31,7 +31,7 @@ from m100link.apps.cli.serve import StationOptions, _announce, aircraft_of
 from m100link.apps.mavlink.translator.codec import MavlinkMessage, MessageReader, write_frame
 from m100link.apps.station import log_output
 from m100link.apps.station.config import Settings
-from m100link.apps.station.listeners import FRONTS, Sockets, listen
+from m100link.apps.station.listeners import FRONTS, Sockets
 from m100link.apps.station.log_output import FlightProgress
 from m100link.errors import M100Error
 from tests.apps.cli.conftest import CommandLine
@@ -503,7 +503,7 @@ def test_each_socket_that_is_opened_is_reported(
     """Also of a front that this file does not know."""
     with ExitStack() as stack:
         by_tcp = FRONTS.keys() - {"mavlink", "ros2"}
-        made = {name: [listen("127.0.0.1", 0)] for name in by_tcp}
+        made = {name: [socket.create_server(("127.0.0.1", 0))] for name in by_tcp}
         for row in made.values():
             stack.callback(row[0].close)
         running: Any = SimpleNamespace(sockets=Sockets(made), console_path=lambda: "/?code=1")

@@ -74,7 +74,7 @@ async def test_sockets_reach_their_front_by_name_in_whatever_order(
     for _ in range(20):
         names = drawn.sample(sorted(fakes), drawn.randrange(4))
         made = {
-            name: [listeners.listen("127.0.0.1", 0) for _ in range(drawn.randrange(1, 3))]
+            name: [socket.create_server(("127.0.0.1", 0)) for _ in range(drawn.randrange(1, 3))]
             for name in names
         }
         opened = Sockets(made)
@@ -98,13 +98,13 @@ async def test_sockets_that_a_front_forgets_end_the_start_and_are_named(
     fakes: dict[str, Fake],
 ) -> None:
     fakes["two"].takes = False
-    made = {name: [listeners.listen("127.0.0.1", 0)] for name in fakes}
+    made = {name: [socket.create_server(("127.0.0.1", 0))] for name in fakes}
     with pytest.raises(M100Error, match="two: its module serves nobody"):
         await serve(Sockets(made))
 
 
 async def test_sockets_without_a_row_end_the_start_and_are_named(fakes: dict[str, Fake]) -> None:
-    made = {name: [listeners.listen("127.0.0.1", 0)] for name in ("one", "four")}
+    made = {name: [socket.create_server(("127.0.0.1", 0))] for name in ("one", "four")}
     with pytest.raises(M100Error, match="'four', which is no front"):
         await serve(Sockets(made))
     assert fakes["one"].ports == []
@@ -139,8 +139,8 @@ def test_what_is_opened_is_what_the_command_and_the_settings_ask_for(
 def test_no_tcp_port_is_bound_when_the_settings_of_a_front_cannot_be(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    bound: list[int] = []
-    monkeypatch.setattr(listeners, "listen", lambda _, port: bound.append(port))
+    bound: list[object] = []
+    monkeypatch.setattr(listeners, "bound", lambda _, address, *__, **___: bound.append(address))
     with pytest.raises(UsageError, match="other machines"):
         opened(Settings(mavlink=("udp://0.0.0.0:14550",)))
     assert bound == []
