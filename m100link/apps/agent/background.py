@@ -145,6 +145,15 @@ class TaskSet:
         await asyncio.gather(*self._tasks, return_exceptions=True)
 
 
+async def is_set_within(event: asyncio.Event, seconds: float | None) -> bool:
+    """Whether an event is set within so many seconds; None waits for as long as it takes."""
+    try:
+        async with asyncio.timeout(seconds):
+            return await event.wait()
+    except TimeoutError:
+        return False
+
+
 def call_each(callbacks: Iterable[Callable[..., object]], *arguments: object) -> None:
     """Call each of them, and raise the first error afterwards."""
     # Whatever one of them raises: the next one may hold control, or end it.

@@ -17,6 +17,7 @@ from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from typing import Literal, get_args
 
+from m100link.apps.agent.background import is_set_within
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.lease import LeaseChange, LeaseHeld
 from m100link.apps.agent.messages import Event, EventTopic, LeaseChanged
@@ -252,11 +253,8 @@ class LastFlight:
         """
         is_kept = True
         while True:
-            try:
-                async with asyncio.timeout(KEPT_AGAIN_S if self._number or not is_kept else None):
-                    await self._changed.wait()
-            except TimeoutError:
-                pass  # it still flies
+            is_due = self._number or not is_kept  # it still flies, or nobody would know
+            await is_set_within(self._changed, KEPT_AGAIN_S if is_due else None)
             self._changed.clear()
             try:
                 await self._order_log.flies(self._number)

@@ -14,6 +14,7 @@ from collections.abc import AsyncIterator, Callable, Iterable, Mapping
 from contextlib import asynccontextmanager
 from urllib.parse import urlsplit
 
+from m100link.apps.agent.background import is_set_within
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.control_session import ControlSession
 from m100link.apps.mavlink.order_executor import OrderExecutor
@@ -167,7 +168,7 @@ class Bridge:
         self.unsent = 0  # messages with a number that does not fit
         self._ran_at = self._clock()
         # The rest before the next step: what ends it, when it began, and whether it is short.
-        self._rest: asyncio.Future[None] | None = None
+        self._is_due = asyncio.Event()
         self._stepped_at = 0.0
         self._is_short = False
 
@@ -296,29 +297,17 @@ class Bridge:
                 await craft.executor.end()
 
     async def _until_next(self) -> None:
-        loop = asyncio.get_running_loop()
-        self._rest, self._stepped_at, self._is_short = loop.create_future(), loop.time(), False
-        timer = loop.call_later(IDLE_STEP_S, _end, self._rest)
+        self._stepped_at, self._is_short = self._clock(), False
+        self._is_due.clear()
         self._hurry()
-        try:
-            await self._rest
-        finally:
-            timer.cancel()
-            self._rest = None
+        await is_set_within(self._is_due, IDLE_STEP_S)
 
     def _hurry(self) -> None:
         """Rest for a short time if something waits or flies."""
-        if self._rest is None or self._is_short:
-            return
-        if any(vehicle.is_busy for vehicle in self.vehicles):
+        if not self._is_short and any(vehicle.is_busy for vehicle in self.vehicles):
             self._is_short = True
             loop = asyncio.get_running_loop()
-            loop.call_at(self._stepped_at + STEP_S, _end, self._rest)
-
-
-def _end(rest: asyncio.Future[None]) -> None:
-    if not rest.done():
-        rest.set_result(None)
+            loop.call_at(self._stepped_at + STEP_S, self._is_due.set)
 
 
 def signature_time() -> int:

@@ -11,13 +11,13 @@ import math
 from abc import ABC, abstractmethod
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field
 from enum import IntEnum
 from functools import partial
 from typing import Any
 
 from m100link.apps.agent import orders
+from m100link.apps.agent.background import is_set_within
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.messages import Event
 from m100link.apps.agent.messages import EventTopic as EventTopic
@@ -290,9 +290,7 @@ class FlightGoal(ABC):
 
     async def wait(self, seconds: float) -> None:
         """Hover for a while, unless it was ended."""
-        with suppress(TimeoutError):
-            async with asyncio.timeout(seconds):
-                await self._ended.wait()
+        await is_set_within(self._ended, seconds)
 
     def progress(self) -> Mapping[str, Any]:
         guided = self._agent.state.guided

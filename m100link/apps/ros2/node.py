@@ -10,6 +10,7 @@ from contextlib import AbstractAsyncContextManager
 from typing import Any
 
 from m100link.apps.agent import orders
+from m100link.apps.agent.background import is_set_within
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.orders import CameraUse, StartMotors, StopMotors, UseCamera
 from m100link.apps.bus.network import PolledBus
@@ -76,7 +77,7 @@ class Node:
         self._presence = GraphDiscovery(lambda: bus.changes(f"{ADMIN}/{domain}/**"))
         self._looked_at = self._ran_at = self._deaf_until = agent.now
         self._reported: dict[str, float] = {}
-        self._waiting: asyncio.Future[None] | None = None
+        self._has_come = asyncio.Event()  # a package of telemetry, since the last step
         # Services are many, and looked at in every second step.
         self._is_even = False
         # Plain names are understood in a namespace, too: nothing else can be meant.
@@ -235,29 +236,16 @@ class Node:
         try:
             while True:
                 self.step()
-                await self._next_step()
+                self._has_come.clear()
+                await is_set_within(self._has_come, _STEP_WITHOUT_S)
         finally:
             self._agent.on_sample.remove(self._hear_sample)
             await self.control.release()
 
-    async def _next_step(self) -> None:
-        """Wait for the next package of telemetry, but not for long."""
-        loop = asyncio.get_running_loop()
-        self._waiting = loop.create_future()
-        timer = loop.call_later(_STEP_WITHOUT_S, self._wake)
-        try:
-            await self._waiting
-        finally:
-            timer.cancel()
-
-    def _wake(self) -> None:
-        if self._waiting is not None and not self._waiting.done():
-            self._waiting.set_result(None)
-
     def _hear_sample(self, sample: Sample) -> None:
         self.teller.hear(sample)
         if self._agent.now - self._ran_at >= _STEP_SOONEST_S:
-            self._wake()
+            self._has_come.set()
 
 
 # -- A session of ROS 2: configured from where rmw_zenoh takes it ----------------------------------

@@ -15,11 +15,12 @@ from __future__ import annotations
 import asyncio
 import os
 import sys
-from contextlib import AsyncExitStack, suppress
+from contextlib import AsyncExitStack
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+from m100link.apps.agent.background import is_set_within
 from m100link.apps.agent.transports import connect_unix, serve_unix
 from m100link.apps.station.config import resolve
 from m100link.apps.station.console.orders import orders_by_socket
@@ -80,9 +81,7 @@ async def _serve(request: dict[str, Any], ended: asyncio.Event) -> None:
 async def _until_ended(ended: asyncio.Event, fronts: Fronts, parent_ended: asyncio.Event) -> None:
     alone = 0.0
     while not ended.is_set() and alone < AFTERLIFE:
-        with suppress(TimeoutError):
-            async with asyncio.timeout(_CHECK):
-                await ended.wait()
+        await is_set_within(ended, _CHECK)
         # One of several agents is started again as long as its supervisor is there.
         is_last = len(fronts.agents) == 1 or parent_ended.is_set()
         if is_last and all(agent.is_gone for agent in fronts.agents.values()):

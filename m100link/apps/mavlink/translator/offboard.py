@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from m100link.apps.mavlink.translator.codec import MavlinkMessage
 from m100link.apps.mavlink.translator.numbers import MavFrame
 from m100link.apps.mavlink.translator.vehicle_state import VehicleState
-from m100link.protocol.records import Position
+from m100link.protocol.records import Attitude, Position
 from m100link.protocol.setpoint import Setpoint
 
 _PLACE, _HEIGHT = 0b11, 0b100
@@ -108,19 +108,15 @@ class Offboard:
             return "the M100 takes attitudes with a thrust of 0 to 1, no body rates"
         if any(message[name] for bit, name in _BODY_RATES if not mask & bit):
             return "the M100 takes no body rates beside an attitude"
-        q0, q1, q2, q3 = message["q"]
-        size = math.sqrt(q0 * q0 + q1 * q1 + q2 * q2 + q3 * q3)
+        size = math.hypot(*message["q"])
         if not 0.5 < size < 2.0:
             return "a setpoint that is not an attitude"
-        q0, q1, q2, q3 = (one / size for one in (q0, q1, q2, q3))
-        roll = math.atan2(2 * (q0 * q1 + q2 * q3), 1 - 2 * (q1 * q1 + q2 * q2))
-        pitch = math.asin(max(-1.0, min(1.0, 2 * (q0 * q2 - q1 * q3))))
-        yaw = math.atan2(2 * (q0 * q3 + q1 * q2), 1 - 2 * (q2 * q2 + q3 * q3))
+        attitude = Attitude(*(one / size for one in message["q"]))
         up = (thrust - _HOVER) / _FULL * self._settings["MPC_Z_VEL_MAX_UP"]
         if thrust == 0.0:
             up = 0.0  # "no thrust" while a program begins; the M100 does not fall
-        tilt = (math.degrees(roll), math.degrees(pitch))
-        return self._take(OffboardTarget(now, tilt=tilt, climb=up, yaw_deg=math.degrees(yaw)))
+        tilt = attitude.roll_deg, attitude.pitch_deg
+        return self._take(OffboardTarget(now, tilt=tilt, climb=up, yaw_deg=attitude.yaw_deg))
 
     def _take(self, target: OffboardTarget) -> str:
         pairs = (*(target.place or ()), *(target.velocity or ()), *(target.tilt or ()))

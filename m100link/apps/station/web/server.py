@@ -24,7 +24,7 @@ from starlette.staticfiles import StaticFiles
 from starlette.status import WS_1008_POLICY_VIOLATION
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from m100link.apps.agent.background import SparingLogger
+from m100link.apps.agent.background import SparingLogger, is_set_within
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.station.config import namespace_of
 from m100link.apps.station.listeners import Fronts
@@ -225,9 +225,7 @@ class RosbridgeServer:
                 await asyncio.sleep(0)
                 pause = session.work_pause(self.agent.now)
                 if pause:  # who is to go does not stay for the seconds that its work has cost
-                    with contextlib.suppress(TimeoutError):
-                        async with asyncio.timeout(pause):
-                            await closing.wait()
+                    await is_set_within(closing, pause)
             self._log.warning("%s is disconnected: %s", session.name, session.close_reason)
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(1.0):
@@ -235,12 +233,7 @@ class RosbridgeServer:
 
     async def _wait(self, session: Client, wake: asyncio.Event) -> None:
         due = session.outbox.next_wakeup()
-        if due is None:
-            await wake.wait()
-            return
-        with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout_at(due):
-                await wake.wait()
+        await is_set_within(wake, None if due is None else due - self.agent.now)
 
 
 def _health_of(agent: AgentClient) -> dict[str, Any]:
