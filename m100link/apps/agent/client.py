@@ -450,7 +450,12 @@ class AgentClient:
     @property
     def asked_at(self) -> float:
         """When what is asked now was wanted, s: now, or at the press that this task carries out."""
-        return min(self._clock(), PRESSED_AT.get())
+        return min(self._after_stop, PRESSED_AT.get())
+
+    @property
+    def _after_stop(self) -> float:
+        """Now, s: later than each STOP that was heard here, at the same instant, too."""
+        return max(self._clock(), math.nextafter(self.stopped_at, math.inf))
 
     def samples(self, policy: Policy) -> Subscription[Sample]:
         """Subscribe to the telemetry of this and every later aircraft."""
@@ -519,7 +524,7 @@ class AgentClient:
         ``begins_anew``: the holder let go of everything at that time, s, by default now. Orders
         after it fly, unless a STOP came since.
         """
-        fence, sent_at = lease.number if lease else 0, min(at, self._clock())
+        fence, sent_at = lease.number if lease else 0, min(at, self._after_stop)
         self._send(messages.Ask(0, orders.Halt(why, begins_anew), fence, sent_at))
 
     def halt(self, why: str = "", lease: Lease | None = None) -> None:
@@ -537,10 +542,10 @@ class AgentClient:
         Returns the time that the next steps say: this STOP overtakes none of them, and another one
         since then, pressed by a person, overtakes all.
         """
-        stops = self._stops - (self.stopped_at > asked_at)
+        stops = self._stops - (self.stopped_at >= asked_at)
         with suppress(NotObserved):  # the next step shows whether it flies on
             await self.stop()
-        return self._clock() if self._stops <= stops + 1 else asked_at
+        return self._after_stop if self._stops <= stops + 1 else asked_at
 
     def note(self, text: str, level: str = "info") -> None:
         """Add an event to the agent's journal; many at once are dropped."""

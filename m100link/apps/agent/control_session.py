@@ -580,7 +580,7 @@ class ControlSession:
         ``at``: when at the earliest, s of the client's clock. A STOP since then stands: returns
         whether none does.
         """
-        is_anew = at >= self._agent.stopped_at
+        is_anew = at > self._agent.stopped_at
         if (lease := self.lease) is not None:
             self._agent.hover(why, lease, begins_anew=is_anew, at=at)
             if is_anew:

@@ -383,8 +383,8 @@ GuidedOrder = FlyTo | FlyAround | ChangeHeight | ChangeHeading
 
 
 def require_newer(order: Order, asked_at: float, stopped_at: float) -> None:
-    """Raise ``GuardRefused``: a STOP came after an order, or its first step, was asked for; s."""
-    if asked_at < stopped_at and order.after_stop is not AfterStop.DONE:
+    """Raise ``GuardRefused``: a STOP came when an order, or its first step, was asked for; s."""
+    if asked_at <= stopped_at and order.after_stop is not AfterStop.DONE:
         raise GuardRefused(
             f"STOP was pressed after {order.label} was asked for; nothing was sent",
             guard="stopped",

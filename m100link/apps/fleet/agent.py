@@ -300,7 +300,7 @@ class FleetAgent:
             if not is_repeated:
                 self._begin(order)
         except M100Error as error:
-            refused = self._reply("", error, clock=self.client.now)
+            refused = self._reply("", error, clock=self.client.asked_at)
             question.answer(key, payloads.pack(refused))
             return
         await self._wait(order.id)
@@ -331,7 +331,7 @@ class FleetAgent:
         if asked.is_kept:
             # Looked at before a stranger's words are worth a disk's time.
             if self._orders.lease_for(order, asked) is not None:
-                self._ages.hear(order.fence, order.clock, now)
+                self._ages.hear(order.fence, asked.after_stop, order.clock, now)
         elif asked.age is Age.YOUNG or (asked.age is Age.YOUNG_IF_KNOWN and order.clock):
             require_young(order.clock, now)
         if asked.right is Right.STOP:
@@ -346,7 +346,7 @@ class FleetAgent:
         try:
             if asked.is_kept:
                 await self._order_log.begin(order.id)
-                self._ages.check(order.clock, self.client.now)
+                self._ages.check(asked.after_stop, order.clock, self.client.now)
             self._end(order, None, **await self._orders.carry_out(order, asked))
         except M100Error as error:
             self._end(order, error)
@@ -374,11 +374,11 @@ class FleetAgent:
             if self._order_cache.is_known(identity):
                 progress = payloads.Progress.RUNNING
             elif self._order_cache.was_begun_before(identity):
-                return self._reply(identity, _begun_before(), clock=self.client.now)
+                return self._reply(identity, _begun_before(), clock=self.client.asked_at)
             else:
                 progress = payloads.Progress.NEVER
             reply = payloads.OrderReply(identity, self._keys.name, self.boot, progress)
-        return replace(reply, clock=self.client.now, is_repeated=is_repeated)
+        return replace(reply, clock=self.client.asked_at, is_repeated=is_repeated)
 
     def _on_status(self, question: Question) -> None:
         self.client.background.spawn(self._answer_status(question), "status of an order")

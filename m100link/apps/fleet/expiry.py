@@ -11,6 +11,7 @@ import math
 from enum import Enum
 
 from m100link.apps.agent.messages import Steer
+from m100link.apps.agent.orders import AfterStop
 from m100link.errors import GuardRefused
 
 ORDER_AGE = "order_age"
@@ -34,20 +35,21 @@ class OrderExpiry:
         """Somebody wants it stopped, or down: earlier orders are not wanted any more."""
         self.not_before = now
 
-    def hear(self, fence: int, made_at: float, now: float) -> None:
-        """Take an order that is heard for the first time, or refuse it.
-
-        ``made_at``: when it was made at the earliest, s. ``now``: s.
-        """
-        self.check(made_at, now)
+    def hear(self, fence: int, behind: AfterStop, made_at: float, now: float) -> None:
+        """Take an order that is heard for the first time, or refuse it; as :meth:`check`."""
+        self.check(behind, made_at, now)
         if self._newest[0] == fence and made_at < self._newest[1]:
             raise _late("what its asker asked for later was heard before it", made_at, now)
         self._newest = (fence, made_at)
 
-    def check(self, made_at: float, now: float) -> None:
-        """Refuse an order that came too late as it is about to be carried out."""
+    def check(self, behind: AfterStop, made_at: float, now: float) -> None:
+        """Refuse an order that came too late as it is about to be carried out.
+
+        ``behind``: whether it is done behind a STOP. ``made_at``: when it was made at the
+        earliest, s. ``now``: s.
+        """
         require_young(made_at, now)
-        if made_at < self.not_before:
+        if made_at <= self.not_before and behind is not AfterStop.DONE:
             raise _late("stop, hover or landing was asked for after it was made", made_at, now)
 
 

@@ -104,7 +104,7 @@ class OrderService:
                 await client.stop()
             case orders.Halt():
                 # Not after a STOP since it was made.
-                is_anew = asked.begins_anew and order.clock >= client.stopped_at
+                is_anew = asked.begins_anew and order.clock > client.stopped_at
                 why = asked.why or f"{order.by}: hover"
                 held = self._lease_if_any(order)
                 client.hover(why, held, begins_anew=is_anew, at=order.clock)
@@ -217,7 +217,7 @@ class OrderService:
 
         None: it stands, and nothing flies.
         """
-        client, asked_at = self._client, self._client.now
+        client, asked_at = self._client, self._client.asked_at
         while client.state.task == Flown.LAND.value:  # noqa: ASYNC110 - no event says it
             await asyncio.sleep(_LOOK_S)
         if client.state.task:

@@ -258,7 +258,7 @@ class FlightGoal(ABC):
     def __init__(self, agent: AgentClient, control: RosControl) -> None:
         self._agent, self._lease = agent, control.session.held()
         # A STOP since the goal came overtakes each of its orders.
-        self._ask = partial(agent.ask, lease=self._lease, asked_at=agent.now)
+        self._ask = partial(agent.ask, lease=self._lease, asked_at=agent.asked_at)
         self._ended = asyncio.Event()
 
     @abstractmethod

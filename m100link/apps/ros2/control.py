@@ -230,7 +230,7 @@ class RosControl:
         else:
             self._agent.hover(f"{task.label} was requested", lease)
         # A STOP from now on overtakes each step.
-        agent, at = self._agent, self._agent.now
+        agent, at = self._agent, self._agent.asked_at
         before, asked_at = self._tasks.get(task, (None, at))
         if before is None or before.done() or asked_at <= agent.stopped_at:
             before = agent.background.spawn(

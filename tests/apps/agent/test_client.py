@@ -473,3 +473,31 @@ async def test_many_answers_in_any_order_reach_their_askers(seed: int) -> None:
             assert await became(task) == expected.get(number, LinkLost)
     assert len(begun) == len(set(begun))
     assert not left & set(begun)
+
+
+async def test_of_what_is_asked_in_the_instant_of_a_stop_the_stop_counts(
+    clients: list[AgentClient],
+) -> None:
+    """And what this client asks for once it has heard of it is later than that."""
+    client, other = clients
+    asked_at = client.asked_at
+    await other.stop()
+    assert client.stopped_at == asked_at
+    with pytest.raises(GuardRefused, match="STOP was pressed after acquire lease"):
+        await client.acquire("first", asked_at)
+    assert client.asked_at > client.stopped_at
+    assert (await client.acquire("first")).name == "first"
+
+
+async def test_a_stop_by_a_person_in_the_instant_of_an_order_overtakes_its_steps(
+    clients: list[AgentClient],
+) -> None:
+    """That of the order itself does not; one more, whenever it came, does."""
+    client, other = clients
+    asked_at = client.asked_at
+    assert await client.end_task(asked_at) > client.stopped_at
+    await anyio.sleep(1.0)
+    asked_at = client.asked_at
+    await other.stop()
+    assert client.stopped_at == asked_at
+    assert await client.end_task(asked_at) == asked_at

@@ -350,6 +350,7 @@ async def test_a_client_that_let_go_before_a_stop_does_not_undo_it(pilots: Pilot
     refused: list[M100Error] = []
     one.on_refused = refused.append
     assert not one.begin_anew(at=let_go_at)
+    assert not one.begin_anew(at=client.stopped_at)  # of both in one instant the STOP counts
     assert at(one) is S.STOPPED
     one.steer(NORTH)
     await anyio.sleep(0.1)

@@ -23,6 +23,7 @@ from m100link.apps.agent.latency import (
     ClockEstimate,
 )
 from m100link.apps.agent.messages import Steer
+from m100link.apps.agent.orders import AfterStop
 from m100link.apps.fleet.expiry import MAX_AGE_S, MOST_AGE_S, OrderExpiry, SetpointStream
 from m100link.errors import GuardRefused
 from m100link.protocol.setpoint import Setpoint
@@ -124,7 +125,7 @@ def test_no_order_of_more_than_five_seconds_ago_is_heard(seed: int) -> None:
         stamp, known = other.estimate.at_least(now), other.estimate.offset(now)
         waited = other.chance.uniform(0.0, 8.0)
         try:
-            OrderExpiry().hear(0, stamp, other.read(now + waited))
+            OrderExpiry().hear(0, AfterStop.ANEW, stamp, other.read(now + waited))
         except GuardRefused:
             assert known is None or waited > MOST_AGE_S - 2 * known.bound - 0.01
         else:

@@ -49,6 +49,7 @@ from m100link.missions.plan import Waypoint, WaypointPlan
 from m100link.protocol.setpoint import Setpoint
 from m100link.sim.virtual import VirtualAircraft
 from tests.apps.agent.conftest import hears_late
+from tests.apps.agent.examples import example
 from tests.apps.bus.memory import MemoryBus
 from tests.apps.fleet.conftest import SITE, OnBoard, Rig, with_camera
 from tests.apps.fleet.logs.conftest import AtOnce
@@ -261,6 +262,7 @@ async def test_stop_and_landing_need_no_lease_and_a_landing_is_shared(rig: Rig) 
     one = await rig.aircraft("a1")
     got = await in_the_air(rig, one)
     assert (await send(rig, order(orders.Stop()))).outcome is Outcome.OK
+    await anyio.sleep(0.01)
     replies: list[Outcome] = []
 
     async def land() -> None:
@@ -338,10 +340,23 @@ async def test_a_client_that_let_go_before_a_stop_does_not_begin_anew_by_that(
     await anyio.sleep(0.2)
     await one.agent.stop()
     if not is_late:
+        await anyio.sleep(0.01)
         let_go = order(orders.Halt(begins_anew=True), got.number, got.token)
     assert (await send(rig, let_go)).outcome is Outcome.OK
     await fly(one, got, 2.0)
     assert (one.speed < 0.3) is is_late
+
+
+async def test_of_a_stop_and_a_let_go_of_one_instant_the_stop_counts(rig: Rig) -> None:
+    one = await rig.aircraft("a1")
+    got = await in_the_air(rig, one)
+    await anyio.sleep(0.2)
+    await one.agent.stop()
+    let_go = order(orders.Halt(begins_anew=True), got.number, got.token)
+    assert let_go.clock == one.client.stopped_at
+    assert (await send(rig, let_go)).outcome is Outcome.OK
+    await fly(one, got, 2.0)
+    assert one.speed < 0.3
 
 
 async def test_a_landing_that_nobody_waits_for_is_not_begun_but_any_stop_is_done(rig: Rig) -> None:
@@ -641,3 +656,24 @@ async def test_what_ends_a_flight_waits_behind_no_other_question(
         keys.lease,
         keys.show,
     }
+
+
+@pytest.mark.parametrize("kind", orders.ORDERS.values(), ids=orders.ORDERS)
+async def test_behind_a_stop_a_fleet_does_what_every_front_does(
+    rig: Rig, kind: type[orders.Order]
+) -> None:
+    """By the class of the order: what ends something is done however long it was under way."""
+    if kind.needs is not orders.Needs.LEASE or issubclass(kind, orders.UploadPlan):
+        return
+    one = await rig.aircraft("a1")
+    got = await in_the_air(rig, one)
+    late = order(example(kind), got.number, got.token)
+    await anyio.sleep(0.2)
+    await one.agent.stop()
+    reply = await send(rig, late)
+    is_overtaken = (
+        reply.fault is not None and "stop, hover or landing was asked" in reply.fault.seen
+    )
+    if not kind.is_kept:  # a landing
+        is_overtaken = reply.fault is not None and "STOP was pressed after" in reply.fault.seen
+    assert is_overtaken is (kind.after_stop is not orders.AfterStop.DONE), reply

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from m100link.apps.agent.messages import Steer
+from m100link.apps.agent.orders import AfterStop
 from m100link.apps.fleet.expiry import (
     BROKEN_S,
     MAX_AGE_S,
@@ -17,6 +18,8 @@ from m100link.apps.fleet.expiry import (
 from m100link.errors import GuardRefused
 from m100link.protocol.setpoint import Setpoint
 
+ANEW = AfterStop.ANEW
+
 
 @pytest.fixture
 def ages() -> OrderExpiry:
@@ -24,35 +27,38 @@ def ages() -> OrderExpiry:
 
 
 def test_what_is_in_order_is_heard(ages: OrderExpiry) -> None:
-    ages.hear(1, 10.0, 10.1)
-    ages.hear(1, 10.0, 10.2)  # two at once
-    ages.hear(1, 11.0, 11.0 + MOST_AGE_S)
+    ages.hear(1, ANEW, 10.0, 10.1)
+    ages.hear(1, ANEW, 10.0, 10.2)  # two at once
+    ages.hear(1, ANEW, 11.0, 11.0 + MOST_AGE_S)
     ages.revoke(20.0)
-    ages.hear(1, 20.0, 20.1)  # after the answer of what revoked
+    ages.hear(1, ANEW, 20.01, 20.1)  # after the answer of what revoked
 
 
 def test_what_is_old_is_refused(ages: OrderExpiry) -> None:
     with pytest.raises(GuardRefused, match="older than 5 s") as caught:
-        ages.hear(1, 10.0, 10.1 + MOST_AGE_S)
+        ages.hear(1, ANEW, 10.0, 10.1 + MOST_AGE_S)
     assert caught.value.guard == "order_age"
     with pytest.raises(GuardRefused, match="older than 5 s"):
-        ages.hear(1, 0.0, 1e6)  # who does not say when
+        ages.hear(1, ANEW, 0.0, 1e6)  # who does not say when
 
 
 def test_what_was_revoked_is_refused(ages: OrderExpiry) -> None:
-    ages.hear(1, 10.0, 10.0)
+    ages.hear(1, ANEW, 10.0, 10.0)
     ages.revoke(10.5)
     with pytest.raises(GuardRefused, match="asked for after"):
-        ages.check(10.0, 10.6)
+        ages.check(ANEW, 10.0, 10.6)
     with pytest.raises(GuardRefused, match="asked for after"):
-        ages.hear(2, 10.4, 10.6)
+        ages.hear(2, ANEW, 10.4, 10.6)
+    with pytest.raises(GuardRefused, match="asked for after"):
+        ages.check(AfterStop.IF_NEWER, 10.5, 10.6)  # of what is asked at one instant it comes last
+    ages.hear(2, AfterStop.DONE, 10.4, 10.6)
 
 
 def test_of_one_asker_the_newer_one_counts_and_a_later_lease_begins_anew(ages: OrderExpiry) -> None:
-    ages.hear(1, 10.0, 10.0)
+    ages.hear(1, ANEW, 10.0, 10.0)
     with pytest.raises(GuardRefused, match="later was heard before"):
-        ages.hear(1, 9.9, 10.1)
-    ages.hear(2, 9.9, 10.1)
+        ages.hear(1, ANEW, 9.9, 10.1)
+    ages.hear(2, ANEW, 9.9, 10.1)
 
 
 def test_a_landing_is_asked_for_its_age_alone(ages: OrderExpiry) -> None:
@@ -66,9 +72,9 @@ def test_a_landing_is_asked_for_its_age_alone(ages: OrderExpiry) -> None:
 def test_what_was_made_by_the_clock_of_before_a_start_is_refused(ages: OrderExpiry) -> None:
     require_young(20.9, 20.0)  # who reckons its time from an answer is wrong by a little
     with pytest.raises(GuardRefused, match=r"980\.0 s in the future") as caught:
-        ages.hear(1, 1000.0, 20.0)
+        ages.hear(1, ANEW, 1000.0, 20.0)
     assert caught.value.guard == "order_age"
-    ages.hear(1, 20.0, 20.1)
+    ages.hear(1, ANEW, 20.0, 20.1)
     with pytest.raises(GuardRefused, match="in the future"):
         require_young(float("inf"), 20.0)
 

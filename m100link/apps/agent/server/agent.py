@@ -258,7 +258,7 @@ class Agent:
             reason = self._begin_anew
             if reason and (reason != _LOST_MEANWHILE or self.holding.has_authority):
                 self._require_anew(f"{order.label} that is asked for next is not begun")
-        if at < self._stopped_at and isinstance(order, orders.Halt):
+        if at <= self._stopped_at and isinstance(order, orders.Halt):
             token = ""  # it begins nothing anew
         return HANDLERS[type(order)](OrderContext(self, token, accepted), order)
 

@@ -13,6 +13,7 @@ from contextlib import ExitStack
 from m100link.apps.agent.background import goes_on
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.messages import MessageError
+from m100link.apps.agent.orders import AfterStop
 from m100link.apps.bus.network import Bus, Question
 from m100link.apps.fleet import payloads
 from m100link.apps.fleet.agent import DuplicateNames, Verify, admit
@@ -144,7 +145,7 @@ class ShowService:
         performer.heard(asked.run)
         if isinstance(asked, payloads.LoadTrack | payloads.TakePlace | payloads.StartShow):
             # It takes off: not minutes later, when the conductor has given up.
-            performer.ages.check(order.clock, self._client.now)
+            performer.ages.check(AfterStop.ANEW, order.clock, self._client.now)
         if (
             isinstance(asked, payloads.TakePlace | payloads.StartShow)
             and self._duplicates is not None

@@ -377,7 +377,7 @@ class TrackExecutor:
         if self._leave == "land" and control.has_control:
             try:
                 async with control.kept():
-                    await control.bring_down(orders.Land(), self._client.now)
+                    await control.bring_down(orders.Land(), self._client.asked_at)
             except M100Error as error:
                 self._client.note(f"show: {error.seen}", "error")
         control.let_go()

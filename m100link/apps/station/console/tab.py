@@ -124,7 +124,7 @@ class Tab:
 
     def has_ended(self, error: M100Error, began: float) -> bool:
         """Whether an order of ``began``, on the agent's clock, ended by this tab's own STOP."""
-        return isinstance(error, NotObserved) and self._stopped_at > began
+        return isinstance(error, NotObserved) and self._stopped_at >= began
 
     async def stop(self, press: object = None) -> None:
         """Stop. Any tab may."""
@@ -155,7 +155,7 @@ class Tab:
         at = said_at / 1000.0 if _is_number(said_at) else math.inf
         now = self._agent.now
         late = self.way.oldest(at, now)
-        if late > MAX_ORDER_LATE or now - late < self._agent.stopped_at:
+        if late > MAX_ORDER_LATE or now - late <= self._agent.stopped_at:
             waited = f"arrived {late:.1f} s late" if late < math.inf else "has no time"
             if late <= MAX_ORDER_LATE:
                 waited += ", and STOP came first"

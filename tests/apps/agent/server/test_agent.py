@@ -190,8 +190,12 @@ async def test_what_was_asked_before_a_stop_and_comes_after_it_moves_nothing(rig
         order = example(kind)
         if kind.after_stop is orders.AfterStop.DONE:
             continue
-        with pytest.raises(GuardRefused, match=f"STOP was pressed after {order.label} was asked"):
-            agent.begin(order, rig.token, ignore, asked_at)
+        for at in (asked_at, agent.now):  # of what is asked at the same instant, STOP comes last
+            with pytest.raises(GuardRefused, match=f"STOP was pressed after {order.label} was"):
+                agent.begin(order, rig.token, ignore, at)
+    agent.begin(orders.Halt(begins_anew=True), rig.token, ignore, agent.now)
+    with pytest.raises(GuardRefused, match="STOP was pressed"):
+        agent.steer(rig.token, NORTH)
     agent.begin(orders.Halt(), rig.token, ignore, asked_at)
     with pytest.raises(GuardRefused, match="STOP was pressed"):
         agent.steer(rig.token, NORTH)
@@ -199,6 +203,7 @@ async def test_what_was_asked_before_a_stop_and_comes_after_it_moves_nothing(rig
     await agent.begin(orders.Release(), rig.token, ignore, asked_at)
     is_still_held = rig.holding.has_authority
     assert not is_still_held
+    await anyio.sleep(0.01)
     await agent.begin(orders.Obtain(), rig.token, ignore, agent.now)
     assert rig.holding.has_authority
     with pytest.raises(GuardRefused, match="STOP was pressed after land was asked"):
@@ -223,6 +228,7 @@ async def test_a_program_that_did_not_hear_of_a_stop_does_not_fly_on(
     assert (kind.after_stop is orders.AfterStop.ANEW) == (kind.__name__ in flies)
     if kind.__name__ not in flies:
         return
+    await anyio.sleep(0.01)
     with pytest.raises(GuardRefused, match=f"STOP was pressed; {kind.label} that is asked") as met:
         agent.begin(example(kind), rig.token, ignore, agent.now)
     assert met.value.guard == "stopped"
@@ -702,3 +708,26 @@ async def test_a_setpoint_does_not_outlive_an_end_behind_an_order_that_was_refus
     await anyio.sleep(0.1)
     newest = rig.aircraft.autopilot.received_movements[-1]
     assert (newest.roll_or_x, newest.pitch_or_y, newest.throttle_or_z) == (0.0, 0.0, 0.0)
+
+
+async def test_an_end_that_is_cancelled_leaves_no_task_of_the_agent_behind() -> None:
+    """Its release gets no answer, and whoever ends it has no more patience."""
+    rig = Rig()
+
+    async def until_cancelled() -> None:
+        async with rig.running():
+            await airborne(rig)
+            rig.aircraft.stall_line()
+
+    work = asyncio.ensure_future(until_cancelled())
+    await rig.until(lambda: rig.agent.holding.state is HoldingState.RELEASING)
+    tasks = {one.get_name() for one in asyncio.all_tasks()}
+    assert {"m100link: connection", "m100link: lease", "m100link: authority"} <= tasks
+    work.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await work
+    assert work.cancelled()
+    left = {one.get_name() for one in asyncio.all_tasks()} & tasks
+    assert not {name for name in left if name.startswith("m100link: ")}
+    assert rig.agent.connection.aircraft is None
+    rig.driver.stop()

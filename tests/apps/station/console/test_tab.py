@@ -31,7 +31,7 @@ from m100link.apps.agent.lease import LeaseChange, LeaseHeld
 from m100link.apps.station.console.tab import BEAT_LIFETIME, Fate, Tab, _read
 from m100link.apps.station.console.view.fly import FIELDS, live, read
 from m100link.apps.station.console.view.texts import Translator, tr
-from m100link.errors import GuardRefused, LossReason, NoAuthority
+from m100link.errors import GuardRefused, LossReason, NoAuthority, NotObserved
 from m100link.protocol.records import Attitude, RcMode, Velocity
 from tests.apps.station.conftest import Rig
 from tests.known import seen
@@ -631,7 +631,17 @@ async def test_a_button_that_was_pressed_before_stop_and_came_after_it_is_refuse
     await anyio.sleep(0.3)
     with pytest.raises(GuardRefused, match=r"arrived 0\.7 s late, and STOP came first"):
         browser.tab.check_order(said_at)
-    browser.tab.check_order(1000 * rig.agent.now)
+    now = rig.front.now
+    oldest = now - browser.tab.way.oldest(now, now)
+    rig.front.stopped_at = oldest  # in the same instant
+    with pytest.raises(GuardRefused, match="and STOP came first"):
+        browser.tab.check_order(1000 * now)
+    rig.front.stopped_at = math.nextafter(oldest, 0.0)
+    browser.tab.check_order(1000 * now)
+    failed = NotObserved("the task was ended")
+    began = rig.front.now
+    await browser.tab.stop()
+    assert browser.tab.has_ended(failed, began)
 
 
 async def test_a_press_counts_from_when_it_was_made_in_the_page(rig: Rig) -> None:
