@@ -59,6 +59,8 @@ SPEED_M_S = 2.0
 PINGED_WITHIN_S = 5.0
 """A ping each 2 s, and 3 s for its answer."""
 OTHER = "the other"
+HANGS_S = 4.0
+"""Seconds for which a sender hangs: a lease lasts 3 s without it."""
 FLOOD = 800
 """Setpoints in one moment: twice as many as rosbridge takes, three times as many as MAVLink."""
 
@@ -120,6 +122,20 @@ class Front(ABC):
     async def hang(self) -> None:
         """The user's program stands still: it says nothing, and its socket stays open."""
         self.is_there = False
+
+    async def hang_stop(self) -> None:
+        await self.hang()
+        await self.passes(HANGS_S)
+        await self.stop_elsewhere()
+
+    async def hang_leave_f(self) -> None:
+        await self.hang()
+        await self.passes(HANGS_S)
+        await self.leave_f()
+
+    async def stop_elsewhere(self) -> None:
+        """STOP of somebody who has not this front."""
+        raise NotImplementedError
 
     async def flood(self) -> None:
         """A program that lost its rate says all this in one moment, and then stops."""
@@ -186,6 +202,7 @@ class Front(ABC):
     async def leave_f(self) -> None:
         self.aircraft.leave_f()
         await self.passes(2.0)
+        assert self.samples[-1].obeys is Device.RC
         self.aircraft.return_to_f()
 
     async def lose_link(self) -> None:
@@ -261,6 +278,16 @@ class BesideAnAgent(Front):
             await self._lease(action="acquire", name=OTHER)
         await self.passes(0.5)
         self.aircraft.return_to_f()
+
+    async def hang_land(self) -> None:
+        """Somebody at the station takes it, by a button in two steps, and lands it."""
+        await self.hang()
+        await self.passes(HANGS_S)
+        if not await self.take_over():
+            await self._lease(action="acquire", name=OTHER)
+        self.other.call("/dji_sdk/sdk_control_authority", control_enable=1)
+        await self.passes(0.5)
+        self.other.call("/dji_sdk/drone_task_control", task=6)
 
     def near(self) -> AgentClient:
         """The client beside the agent, by which this front's orders come."""

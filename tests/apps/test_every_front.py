@@ -58,6 +58,9 @@ class Event(Enum):
     ORDER_LATE = "an order to go home comes later than it may"
     SILENCE = "no setpoint any more; the sender is there"
     HANG = "the sender hangs"
+    HANG_STOP = "the sender hangs, and seconds later comes a STOP at another front"
+    HANG_LAND = "the sender hangs, and seconds later another client takes over and lands it"
+    HANG_LEAVE_F = "the sender hangs, and seconds later the pilot leaves F for 2 s"
     KILL = "the front is killed"
     LOSE_AGENT = "the agent is killed"
     LOSE_LINK = "the cable is pulled"
@@ -212,6 +215,23 @@ TABLE: dict[Event, dict[type[Front], End | Cannot]] = {
         Performer: End(G, 0.0, FRONT, UNTOLD),
         Sync: End(H, LASTS_02, FRONT, UNTOLD, "let go"),
     },
+    # MAVLink and ROS 2 keep control in the air without end; nobody needs the hung sender to end it.
+    Event.HANG_STOP: {
+        **dict.fromkeys(FRONTS, End(H, 0.0, NOBODY, UNTOLD)),
+        Mavlink: End(H, 0.0, FRONT, UNTOLD),  # its next request is refused, and says why
+        Ros2: End(H, 0.0, FRONT, UNTOLD, "control"),
+        Performer: End(H, BRAKES, NOBODY, UNTOLD),
+        Sync: Cannot("without an agent nobody else can press STOP"),
+    },
+    Event.HANG_LAND: {
+        **dict.fromkeys(FRONTS, End(L, LANDED, OTHERS, UNTOLD)),
+        Sync: Cannot("without an agent there is no lease"),
+    },
+    Event.HANG_LEAVE_F: {
+        **dict.fromkeys(FRONTS, End(H, BRAKES, NOBODY, UNTOLD)),
+        Mavlink: End(H, BRAKES, FRONT, UNTOLD, "control"),
+        Sync: End(H, BRAKES, NOBODY, UNTOLD, "control"),
+    },
     Event.KILL: {
         Console: End(H, BRAKES, NOBODY, UNTOLD),
         Rosbridge: End(H, BRAKES, NOBODY, UNTOLD),
@@ -330,6 +350,7 @@ async def let_it_happen(front: Any, event: Event) -> None:
         await getattr(front, event.name.lower())()
 
 
+HANGING = (Event.HANG_STOP, Event.HANG_LAND, Event.HANG_LEAVE_F)
 LONGER_S = {Event.HANG: 5.0, Event.LOSE_AGENT: 4.0}
 """Seconds that are watched behind the end, where a lease has to end: it lasts 3 s."""
 
@@ -437,11 +458,12 @@ class Cells:
             heard = Counter(front.words().split("\n"))
             since = front.now()
             await let_it_happen(front, event)
-            if event in (Event.STALE, Event.HOLD_UP, Event.STEP_UNHEARD):
+            if event in (Event.STALE, Event.HOLD_UP, Event.STEP_UNHEARD, *HANGING):
                 since = front.now()
             await front.passes(end.within + LONGER_S.get(event, 2.0))
             # The sticks' time is not counted.
-            since += 2.0 * (event in (Event.LEAVE_F, Event.TAKE_OVER_OUT_OF_F))
+            out_of_f = (Event.LEAVE_F, Event.TAKE_OVER_OUT_OF_F)
+            since += 2.0 * (event in out_of_f)
             told = "\n".join((Counter(front.words().split("\n")) - heard).elements())
             assert_does(front, end, since)
             await assert_has(front, end)
@@ -481,6 +503,15 @@ class Cells:
 
     async def test_hang(self) -> None:
         await self.judge(Event.HANG)
+
+    async def test_hang_stop(self) -> None:
+        await self.judge(Event.HANG_STOP)
+
+    async def test_hang_land(self) -> None:
+        await self.judge(Event.HANG_LAND)
+
+    async def test_hang_leave_f(self) -> None:
+        await self.judge(Event.HANG_LEAVE_F)
 
     async def test_kill(self) -> None:
         await self.judge(Event.KILL)
