@@ -25,7 +25,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import (
 )
 from cryptography.hazmat.primitives.hashes import SHA256
 
-from m100link.apps.agent.orders import Right
+from m100link.apps.agent.orders import Halt, Right, Stop
 from m100link.apps.fleet.keys import NAME
 from m100link.apps.fleet.payloads import OrderMessage
 from m100link.errors import NotAllowed, UsageError
@@ -311,7 +311,9 @@ WINDOW_S = 5.0
 """Seconds that an order may be old, or from the future: by so much clocks may differ."""
 STOP_WINDOW_S = 600.0
 """The same for what stops: a wrong clock must keep nobody from stopping an aircraft. A recorded
-stop that somebody repeats in that time stops it once more, which is a nuisance and not a danger."""
+stop that somebody repeats in that time stops it once more, which is a nuisance and not a danger.
+A calendar may be wrong by years, as where it has no battery: then the agent's own clock will do,
+whose time a stop or hover says."""
 
 _PURGED_AT = 1024
 
@@ -398,10 +400,10 @@ class Gate:
         self._seen: dict[tuple[str, str], float] = {}
         self._purged_at = _PURGED_AT
 
-    def check(self, order: OrderMessage, now: float) -> None:
+    def check(self, order: OrderMessage, now: float, clock: float = math.nan) -> None:
         """Accept an order, and remember its id.
 
-        ``now``: POSIX time, s.
+        ``now``: POSIX time, s. ``clock``: the agent's own, which nobody sets, s.
 
         Raises:
             OrderRefused: It is not acceptable, for that reason.
@@ -434,7 +436,7 @@ class Gate:
                 cause="the file of rights on board does not allow it",
                 remedy=f"write [identity.{who}] {right.name.lower()} = [{self._aircraft!r}] there",
             )
-        until = self._require_fresh(order, now)
+        until = self._require_fresh(order, now, clock)
         if (who, order.id) in self._seen:
             raise OrderRefused(
                 f"order {order.id} of {who} came a second time",
@@ -468,9 +470,12 @@ class Gate:
                 remedy="compare the public_key on board with that of the signer",
             ) from error
 
-    def _require_fresh(self, order: OrderMessage, now: float) -> float:
+    def _require_fresh(self, order: OrderMessage, now: float, clock: float) -> float:
         """Until when it could come again, POSIX time."""
         is_stop = order.order.right is Right.STOP
+        its = order.clock or math.nan  # 0 is no time
+        if isinstance(order.order, Stop | Halt) and abs(clock - its) <= WINDOW_S:
+            return max(now, order.at) + STOP_WINDOW_S
         window = STOP_WINDOW_S if is_stop else WINDOW_S
         age = now - order.at
         is_before = not is_stop and order.at < self._began_at

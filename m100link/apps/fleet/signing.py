@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 from collections.abc import Callable, Iterable
 from dataclasses import replace
@@ -34,7 +35,7 @@ def verifying(
     gates = {name: Gate(rights, name, began_at=utc(), revoked=revoked) for name in names}
 
     def verify(order: OrderMessage) -> None:
-        gates[order.aircraft].check(order, utc())
+        gates[order.aircraft].check(order, utc(), asyncio.get_running_loop().time())
 
     return verify
 

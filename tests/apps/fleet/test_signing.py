@@ -158,6 +158,26 @@ async def test_a_wrong_clock_keeps_nobody_from_stopping(rig: Rig) -> None:
         assert (reply.progress, reply.outcome) == (Progress.DONE, outcome)
 
 
+@pytest.mark.parametrize("years", [-56.0, -0.001, 0.001, 1.0])
+async def test_a_calendar_that_is_wrong_by_years_keeps_nobody_from_stopping(
+    rig: Rig, years: float
+) -> None:
+    """On board without a battery, or set in flight: a stop says the time by the agent's clock."""
+    off = years * 365 * 86_400
+    await rig.aircraft("a1", verify=verifying(RIGHTS, ["a1"], lambda: rig.utc() + off))
+    anna = await rig.pilot("anna", sign=signing(ANNA))
+    await anna["a1"].stop()
+    for do in (FleetAircraft.take_off, FleetAircraft.land):
+        with pytest.raises(NotAllowed, match="clocks differ"):
+            await do(anna["a1"])
+    for late_s, outcome in ((4.9, Outcome.OK), (5.1, Outcome.NOT_ALLOWED)):
+        for kind in (orders.Stop(), orders.Halt()):
+            made = replace(order(kind, rig.utc()), clock=anyio.current_time(), id=uuid.uuid4().hex)
+            recorded = signing(ANNA)(made, "")
+            await anyio.sleep(late_s)
+            assert (await asked(anna, recorded)).outcome is outcome
+
+
 def test_keys_and_certificates_are_those_of_the_folder(tmp_path: Path) -> None:
     (tmp_path / "anna.signing.key").write_text((b"a" * 32).hex())
     (tmp_path / "anna.signing.key").chmod(0o600)
