@@ -19,6 +19,9 @@ from m100link.log.records import MAGIC, Header, records
 
 _logger = logging.getLogger(__name__)
 
+DISK_S = 2.0
+"""Seconds for which an aircraft waits for the disk of its log; then it is connected without one."""
+
 # As Recorder names a file in a folder.
 _NAME = re.compile(r"m100link-\d{8}-\d{6}(-\d+)?\.mcap")
 
@@ -63,6 +66,7 @@ class Flights:
         self._tell = tell
         self.newest: Path | None = None  # the log of the newest connection; None before the first
         self._ending: set[asyncio.Future[None]] = set()
+        self._making: asyncio.Future[Recorder] | None = None  # the newest
         self._reported = ""  # why it is not recorded: once is enough
 
     async def begin(self) -> Recorder | None:
@@ -70,13 +74,26 @@ class Flights:
 
         Beside the event loop, in which others may fly: a disk may stand still.
         """
-        making = asyncio.ensure_future(asyncio.to_thread(self._made))
+        if self._making is not None and not self._making.done():
+            return None  # the disk stands still, as was reported
+        is_made = threading.Event()
+
+        def make() -> Recorder:
+            try:
+                return self._made()
+            finally:
+                is_made.set()
+
+        making = self._making = asyncio.ensure_future(asyncio.to_thread(make))
         try:
+            # In real time, as the disk: the event loop's may be virtual.
+            if not await asyncio.to_thread(is_made.wait, DISK_S):
+                raise UsageError(f"{self.folder}: the disk does not answer within {DISK_S:g} s")
             return await asyncio.shield(making)
-        except asyncio.CancelledError:
+        except (asyncio.CancelledError, M100Error, OSError) as error:
             making.add_done_callback(self._abandon)
-            raise
-        except (M100Error, OSError) as error:
+            if isinstance(error, asyncio.CancelledError):
+                raise
             why = error.seen if isinstance(error, M100Error) else f"{error}"
             remedy = error.remedy if isinstance(error, UsageError) else ""
             if why != self._reported:
@@ -89,7 +106,7 @@ class Flights:
         return Recorder(self.folder)
 
     def _abandon(self, making: asyncio.Future[Recorder]) -> None:
-        """The caller was cancelled: a log that nothing was noted in leaves no file."""
+        """Nobody waits for it: a log that nothing was noted in leaves no file."""
         if not making.cancelled() and making.exception() is None:
             ending = asyncio.ensure_future(making.result().aclose())
             self._ending.add(ending)

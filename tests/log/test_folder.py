@@ -215,3 +215,34 @@ async def test_a_program_that_is_cancelled_while_a_log_is_made_leaves_none(
     assert is_made.wait(PATIENCE)
     assert files_in(tmp_path) != []
     await asyncio.to_thread(blocking_until, lambda: files_in(tmp_path) == [])
+
+
+async def test_a_disk_that_stands_still_keeps_nobody_from_flying(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An aircraft whose cable was out for a second waits in the air to be connected again."""
+    told = Told()
+    flights = Flights(tmp_path, tell=told)
+    goes_on, made, tries = threading.Event(), flights._made, list[int]()
+
+    def make() -> Recorder:
+        tries.append(1)
+        goes_on.wait(PATIENCE)
+        return made()
+
+    monkeypatch.setattr("m100link.log.folder.DISK_S", 0.01)
+    monkeypatch.setattr(flights, "_made", make)
+    for _ in range(3):
+        aircraft = await by_url("sim://", flights=flights)()
+        await aircraft.aclose()
+    assert tries == [1], "one thread is enough to wait for it"
+    assert told.all == [
+        ("warning", f"not recorded: {tmp_path}: the disk does not answer within 0.01 s")
+    ]
+    goes_on.set()
+    monkeypatch.undo()
+    assert flights._making is not None
+    await asyncio.wait({flights._making})
+    aircraft = await by_url("sim://", flights=flights)()
+    await aircraft.aclose()
+    await asyncio.to_thread(blocking_until, lambda: len(files_in(tmp_path)) == 1)
