@@ -253,6 +253,7 @@ class AgentClient:
         #: Time of the newest STOP that was heard of, s by this clock. Older orders are refused, and
         #: keys that a person released before it do not undo the STOP.
         self.stopped_at = -math.inf
+        self._after_stop = -math.inf  # the next instant: what is asked for then is newer
         self._stops = 0  # how many were heard of
         # Time of the last event of the agent before, whose events another way tells again.
         self._known_until = -math.inf
@@ -406,6 +407,7 @@ class AgentClient:
         self.events.append(event)
         if event.topic is messages.EventTopic.STOPPED:
             self.stopped_at = self._clock()
+            self._after_stop = math.nextafter(self.stopped_at, math.inf)
             self._stops += 1
         call_each(self.on_event, event)
 
@@ -450,12 +452,7 @@ class AgentClient:
     @property
     def asked_at(self) -> float:
         """When what is asked now was wanted, s: now, or at the press that this task carries out."""
-        return min(self._after_stop, PRESSED_AT.get())
-
-    @property
-    def _after_stop(self) -> float:
-        """Now, s: later than each STOP that was heard here, at the same instant, too."""
-        return max(self._clock(), math.nextafter(self.stopped_at, math.inf))
+        return min(max(self._clock(), self._after_stop), PRESSED_AT.get())
 
     def samples(self, policy: Policy) -> Subscription[Sample]:
         """Subscribe to the telemetry of this and every later aircraft."""
@@ -524,7 +521,7 @@ class AgentClient:
         ``begins_anew``: the holder let go of everything at that time, s, by default now. Orders
         after it fly, unless a STOP came since.
         """
-        fence, sent_at = lease.number if lease else 0, min(at, self._after_stop)
+        fence, sent_at = lease.number if lease else 0, min(at, max(self._clock(), self._after_stop))
         self._send(messages.Ask(0, orders.Halt(why, begins_anew), fence, sent_at))
 
     def halt(self, why: str = "", lease: Lease | None = None) -> None:
@@ -545,7 +542,7 @@ class AgentClient:
         stops = self._stops - (self.stopped_at >= asked_at)
         with suppress(NotObserved):  # the next step shows whether it flies on
             await self.stop()
-        return self._after_stop if self._stops <= stops + 1 else asked_at
+        return max(self._clock(), self._after_stop) if self._stops <= stops + 1 else asked_at
 
     def note(self, text: str, level: str = "info") -> None:
         """Add an event to the agent's journal; many at once are dropped."""
