@@ -51,7 +51,6 @@ class ClientLimits:
     rate: float = 200.0  # frames per second over time
     burst: float = 400.0  # frames at once
     subscriptions: int = 100  # subscriptions in force
-    advertisements: int = 100
     calls: int = 16  # service calls without an answer yet, but for those that end something
     # Messages that wait for a slow client; beyond it the oldest of the busiest topic are dropped.
     waiting: int = 500
@@ -64,10 +63,6 @@ class ClientLimits:
 
 class _Overdone(Exception):
     """The client uses more than it may, in words for it."""
-
-
-class _Remark(Exception):
-    """Nothing had to be done, in words for the client."""
 
 
 class _Fault(Exception):
@@ -98,7 +93,6 @@ class Client:
         self.has_spoken = False  # whether it ever said anything
         self.data: dict[str, Any] = {}  # for the node: what it knows about this client
         self.outbox = Outbox(self.limits.waiting, on_output)  # what waits for it
-        self._advertised: dict[str, set[str]] = {}
         self._reassembly = Reassembly(self.limits.message_size)
         self._level = _LEVELS.index("error")
         self._calls = 0  # without an answer, but for those that end something
@@ -142,9 +136,6 @@ class Client:
             if now - self._complained_at >= _COMPLAINT_PAUSE:
                 self._complained_at = now
                 self.status("error", f"{fault}: frame dropped")
-        except _Remark as remark:
-            self._count_fault(now)
-            self.status("warning", str(remark), identity)
         except (_Fault, BadMessage) as fault:
             self._count_fault(now)
             self.status("error", str(fault), identity)
@@ -232,23 +223,9 @@ class Client:
         topic = self._topic(message)
         if topic.on_publish is None:
             raise _Fault(f"{topic.name} is published by the station alone")
-        if topic.name not in self._advertised:
-            if len(self._advertised) >= self.limits.advertisements:
-                raise _Fault(f"at most {self.limits.advertisements} topics can be advertised")
-            self._advertised[topic.name] = set()
-        identities = self._advertised[topic.name]
-        if len(identities) < self.limits.advertisements:
-            identities.add(str(message.get("id")))
 
     def _unadvertise(self, message: dict[str, Any], now: float) -> None:
-        name = canonical_name(_text(message, "topic"))
-        identities = self._advertised.get(name)
-        if identities is None:
-            raise _Remark(f"{name[:128]} was not advertised")
-        if "id" in message:
-            identities.discard(str(message["id"]))
-        if "id" not in message or not identities:
-            del self._advertised[name]
+        _text(message, "topic")  # nothing is kept of an advertisement
 
     def _publish(self, message: dict[str, Any], now: float) -> None:
         topic = self._topic({"topic": message.get("topic")})
@@ -286,7 +263,9 @@ class Client:
         name = _text(message, "topic")
         subscription = self.outbox.subscriptions.get(name)
         if subscription is None:
-            raise _Remark(f"{name[:128]!r} was not subscribed")
+            self._count_fault(now)
+            self.status("warning", f"{name[:128]!r} was not subscribed", message.get("id"))
+            return
         if "id" in message:
             subscription.requested.pop(str(message["id"]), None)
         else:

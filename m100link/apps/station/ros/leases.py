@@ -43,6 +43,8 @@ _RATE, _AT_ONCE = 2.0, 10.0
 # one in five seconds, and some more at once: they must not push out the events of others.
 _NOTE_PAUSE, _NOTES_RATE, _NOTES_AT_ONCE = 10.0, 0.2, 4.0
 _REFUSED, _NOTED_UNTIL = "refused", "noted until"
+_ACTIONS = ("status", "acquire", "renew", "release", "take_over", "confirm")  # of the service
+_COUNTED = ("acquire", "take_over", "confirm")  # as orders
 
 
 class Clients:
@@ -217,27 +219,16 @@ class Clients:
 
     def _on_lease(self, call: ServiceCall) -> None:
         action = call.request["action"]
-        handler = {
-            "status": self._status,
-            "acquire": self._acquire,
-            "renew": self._renew,
-            "release": self._release,
-            "take_over": self._ask_take_over,
-            "confirm": self._confirm,
-        }.get(action)
-        if handler is None:
-            call.fail(f"there is no action {action[:32]!r}: status, acquire, renew, release, …")
-            return
-        if action in ("acquire", "take_over", "confirm") and not self.admits(call.session):
+        if action not in _ACTIONS:
+            call.fail(f"there is no action {action[:32]!r}: {', '.join(_ACTIONS)}")
+        elif action in _COUNTED and not self.admits(call.session):
             call.fail("more orders than one client may give")
-            return
-        self._agent.background.spawn(self._answer(call, handler), f"lease {action}")
+        else:
+            self._agent.background.spawn(self._answer(call), f"lease {action}")
 
-    async def _answer(
-        self, call: ServiceCall, handler: Callable[[ServiceCall], Coroutine[Any, Any, Message]]
-    ) -> None:
+    async def _answer(self, call: ServiceCall) -> None:
         try:
-            response = {"success": True, **await handler(call)}
+            response = {"success": True, **await self._act(call)}
             response["remaining"] = self._agent.state.lease_remaining
         except LeaseRefused as error:
             response = {"success": False, "message": str(error)}
@@ -246,7 +237,26 @@ class Clients:
             return
         call.respond(response | {"holder": self._agent.holder.name})
 
-    async def _status(self, call: ServiceCall) -> Message:
+    async def _act(self, call: ServiceCall) -> Message:
+        agent, session, token = self._agent, self.session(call.session), call.request["token"]
+        name = call.request["name"] or call.session.name
+        match call.request["action"]:
+            case "acquire":
+                return {"token": (await session.take(partial(agent.acquire, name))).token}
+            case "renew":
+                lease = given((await agent.ask(orders.RenewLease(token))).lease)
+                session.adopt(lease)
+                return {"token": lease.token}
+            case "release" if session.lease is not None and session.lease.token == token:
+                await session.give_back()
+            case "release":
+                await agent.release_lease(token)
+            case "take_over":
+                wanted = await agent.ask_take_over(name)
+                asked = f"{wanted.from_name} would lose control; confirm with this token"
+                return {"token": wanted.token, "message": asked}
+            case "confirm":
+                return {"token": (await session.take(partial(agent.confirm, token))).token}
         return {}
 
     def _on_stop(self, call: ServiceCall) -> None:
@@ -260,32 +270,3 @@ class Clients:
             call.respond({"success": False, "message": str(error)})
         else:
             call.respond({"success": True, "message": ""})
-
-    async def _acquire(self, call: ServiceCall) -> Message:
-        name = call.request["name"] or call.session.name
-        grant = partial(self._agent.acquire, name)
-        return {"token": (await self.session(call.session).take(grant)).token}
-
-    async def _renew(self, call: ServiceCall) -> Message:
-        renewed = await self._agent.ask(orders.RenewLease(call.request["token"]))
-        lease = given(renewed.lease)
-        self.session(call.session).adopt(lease)
-        return {"token": lease.token}
-
-    async def _release(self, call: ServiceCall) -> Message:
-        session, token = self.session(call.session), call.request["token"]
-        if session.lease is not None and session.lease.token == token:
-            await session.give_back()
-        else:
-            await self._agent.release_lease(token)
-        return {}
-
-    async def _ask_take_over(self, call: ServiceCall) -> Message:
-        name = call.request["name"] or call.session.name
-        wanted = await self._agent.ask_take_over(name)
-        asked = f"{wanted.from_name} would lose control; confirm with this token"
-        return {"token": wanted.token, "message": asked}
-
-    async def _confirm(self, call: ServiceCall) -> Message:
-        grant = partial(self._agent.confirm, call.request["token"])
-        return {"token": (await self.session(call.session).take(grant)).token}
