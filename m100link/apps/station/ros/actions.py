@@ -16,7 +16,7 @@ from itertools import count
 from typing import Any
 
 from m100link.apps.agent.client import PRESSED_AT, AgentClient
-from m100link.apps.station.ros.graph import Ends, Graph, GraphListener, always, never, stamped
+from m100link.apps.station.ros.graph import Graph, GraphListener, stamped
 from m100link.apps.station.ros.leases import Clients
 from m100link.apps.station.ros.messages import Message, present
 from m100link.errors import M100Error
@@ -71,14 +71,13 @@ class ActionServer:
         name: str,
         kind: str,  # package and name of the action, without ``Action``
         work: Work,
-        ends: Ends = never,
     ) -> None:
         self._agent, self._graph, self._clients, self._work = agent, graph, clients, work
-        self._name, self._numbers, self._ends = name, count(1), ends
+        self._name, self._numbers = name, count(1)
         self._goals: list[_Goal] = []
         self._newest: _Goal | None = None
-        graph.add_topic(f"{name}/goal", f"{kind}ActionGoal", self._on_goal, ends)
-        graph.add_topic(f"{name}/cancel", "actionlib_msgs/GoalID", self._on_cancel, always)
+        self._goal = graph.add_topic(f"{name}/goal", f"{kind}ActionGoal", self._on_goal)
+        graph.add_topic(f"{name}/cancel", "actionlib_msgs/GoalID", self._on_cancel)
         self._status = graph.add_topic(f"{name}/status", "actionlib_msgs/GoalStatusArray")
         self._feedback = graph.add_topic(f"{name}/feedback", f"{kind}ActionFeedback")
         self._result = graph.add_topic(f"{name}/result", f"{kind}ActionResult")
@@ -122,7 +121,7 @@ class ActionServer:
             identity["stamp"] = present()
         goal, before = _Goal(client, identity, message["goal"], now), self._newest
         self._goals.append(goal)
-        if not (self._ends(message) or self._clients.admits(client)):
+        if not (self._goal.ends(message) or self._clients.admits(client)):
             self._end(goal, GoalState.REJECTED, "more orders than one client may give")
             return
         self._newest = goal

@@ -341,7 +341,7 @@ class Client:
 
     def respond(self, call: ServiceCall, values: str, result: bool) -> None:
         """Answer a service call; ``values`` is JSON."""
-        self._calls -= not call.service.ends(call.request)
+        self._calls -= not call.ends
         name, identity, packing = call.identity
         self._respond(name, identity, packing, values, result)
 

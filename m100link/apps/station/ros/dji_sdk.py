@@ -16,15 +16,8 @@ from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.latency import MAX_LATE, ClockEstimate
 from m100link.apps.agent.orders import CameraUse
-from m100link.apps.station.ros.graph import (
-    Graph,
-    GraphListener,
-    RosTopic,
-    ServiceCall,
-    ends_by,
-    stamped,
-)
-from m100link.apps.station.ros.leases import TASKS, WAYS_DOWN, Clients
+from m100link.apps.station.ros.graph import Graph, GraphListener, RosTopic, ServiceCall, stamped
+from m100link.apps.station.ros.leases import TASKS, Clients
 from m100link.apps.station.ros.messages import Message
 from m100link.apps.station.ros.missions import MissionTopics
 from m100link.apps.station.ros.node_2016 import Node2016
@@ -150,29 +143,14 @@ class DjiSdk:
     def _add_services(self) -> None:
         for name, kind, handler in (
             ("activation", "Activation", self._activate),
+            ("sdk_control_authority", "SDKControlAuthority", self._authority),
+            ("sdk_permission_control", "SDKPermissionControl", self._authority),
+            ("drone_task_control", "DroneTaskControl", self._task),
             ("query_drone_version", "QueryDroneVersion", self._version),
             ("set_local_pos_ref", "SetLocalPosRef", self._set_origin),
             ("send_data_to_mobile", "SendMobileData", self._send_to_mobile),
         ):
             self._clients.offer(name, kind, handler)
-        for name, kind, handler, field, ending in (
-            (
-                "sdk_control_authority",
-                "SDKControlAuthority",
-                self._authority,
-                "control_enable",
-                (0,),
-            ),
-            (
-                "sdk_permission_control",
-                "SDKPermissionControl",
-                self._authority,
-                "control_enable",
-                (0,),
-            ),
-            ("drone_task_control", "DroneTaskControl", self._task, "task", WAYS_DOWN),
-        ):
-            self._clients.offer(name, kind, handler, ends_by(field, *ending))
 
     async def _activate(self, call: ServiceCall) -> Message:
         return await self._clients.order(call, orders.Activate()) | {"cmd_set": 0, "cmd_id": 1}
@@ -279,9 +257,9 @@ class PayloadTopics:
             ("camera_action_control", "CameraActionControl", self._camera),
             ("gimbal_angle_control", "GimbalAngleControl", self._angles),
             ("gimbal_speed_control", "GimbalSpeedControl", self._rates),
+            ("drone_arm_control", "DroneArmControl", self._arm),
         ):
             clients.offer(name, kind, handler)
-        clients.offer("drone_arm_control", "DroneArmControl", self._arm, ends_by("arm", 0))
 
     async def _on_angles(self, session: GraphListener, message: Message) -> None:
         """Radians, as DJI's node has them; seconds are whole."""

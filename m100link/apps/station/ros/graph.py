@@ -96,21 +96,34 @@ class GraphListener(Protocol):
         """Report something, with the level ``error``, ``warning`` or ``info``."""
 
 
-Ends = Callable[[Message], bool]
-"""Whether a message ends a movement or gives control back: no limit counts or drops it."""
+_DJI, _WEB = "/dji_sdk", "/dji_sdk_web_groundstation/map_nav_srv"
+_STOP_OR_PAUSE = 1, 2
+
+ENDING: Mapping[str, Callable[[Message], bool]] = {
+    "/m100link/stop": lambda _: True,
+    "/m100link/lease": lambda one: one["action"] == "release",
+    "/sdk_request_cmd": lambda one: one["data"] in (1, 6),  # go-home, landing
+    "/nav_open_close_request": lambda one: one["data"] == 0,
+    "/sdk_request_simple_task": lambda one: one["data"] <= -1,
+    "/sdk_request_ctrl": lambda one: not any(one.values()),  # keys are let go
+    f"{_DJI}/sdk_control_authority": lambda one: one["control_enable"] == 0,
+    f"{_DJI}/sdk_permission_control": lambda one: one["control_enable"] == 0,
+    f"{_DJI}/drone_task_control": lambda one: one["task"] in (1, 6),
+    f"{_DJI}/drone_task_action/goal": lambda one: one["goal"]["task"] in (2, 3),
+    f"{_DJI}/drone_arm_control": lambda one: one["arm"] == 0,
+    f"{_DJI}/mission_waypoint_action": lambda one: one["action"] in _STOP_OR_PAUSE,
+    f"{_DJI}/mission_hotpoint_action": lambda one: one["action"] in _STOP_OR_PAUSE,
+    f"{_DJI}/mission_pause": lambda one: one["pause"] == 0,
+    f"{_DJI}/mission_cancel": lambda _: True,
+    f"{_WEB}/ctrl": lambda one: not one["data"],
+    f"{_WEB}/cmd": lambda one: one["cmdCode"] == ord("c"),
+}
+"""Whether a message stops, lands or gives control back, by its topic or service, and so does each
+cancel of an action: no limit of a client counts or drops it."""
 
 
-def never(_: Message) -> bool:
-    return False
-
-
-def always(_: Message) -> bool:
-    return True
-
-
-def ends_by(field: str, *values: object) -> Ends:
-    """A message ends something if its field has one of these values."""
-    return lambda message: message[field] in values
+def _ends(name: str, message: Message) -> bool:
+    return name.endswith("/cancel") or (name in ENDING and ENDING[name](message))
 
 
 @dataclass(slots=True, eq=False)
@@ -119,7 +132,7 @@ class RosTopic:
     type: MessageType  # type of its messages
     # The effect of a client's message; None on topics that only the station publishes.
     on_publish: Callable[[GraphListener, Message, float], None] | None = None
-    ends: Ends = never
+    ends: Callable[[Message], bool] = lambda _: False  # as :data:`ENDING`
     subscribers: set[GraphListener] = field(default_factory=set)  # sessions that listen
 
 
@@ -133,6 +146,10 @@ class ServiceCall:
     identity: Any
     now: float  # when it came
     is_answered: bool = False
+
+    @property
+    def ends(self) -> bool:
+        return self.service.ends(self.request)
 
     def respond(self, response: Message) -> None:
         """Answer with the fields given; the others have their defaults."""
@@ -152,7 +169,7 @@ class RosService:
     name: str  # its name, with a leading slash
     type: ServiceType
     on_call: Callable[[ServiceCall], None]  # answers a call, at once or later
-    ends: Ends = never  # by its request
+    ends: Callable[[Message], bool] = lambda _: False  # as :data:`ENDING`, by its request
 
 
 class Graph:
@@ -189,13 +206,12 @@ class Graph:
         name: str,
         type_name: str,
         on_publish: Callable[[GraphListener, Message, float], None] | None = None,
-        ends: Ends = never,
     ) -> RosTopic:
         """A topic that the station publishes, or takes messages from.
 
         DJI's nodes have a name more than once, with another type: a client says which it wants.
         """
-        name = self.prefix + name
+        name, ends = self.prefix + name, partial(_ends, name)
         topic = RosTopic(name, MESSAGES[type_name], on_publish, ends)
         if self.topics.setdefault(name, topic) is not topic:
             self.others[name, type_name] = topic
@@ -213,14 +229,10 @@ class Graph:
         yield from self.others.values()
 
     def add_service(
-        self,
-        name: str,
-        type_name: str,
-        on_call: Callable[[ServiceCall], None],
-        ends: Ends = never,
+        self, name: str, type_name: str, on_call: Callable[[ServiceCall], None]
     ) -> None:
         """A service that the station offers."""
-        name = self.prefix + name
+        name, ends = self.prefix + name, partial(_ends, name)
         self.services[name] = RosService(name, SERVICES[type_name], on_call, ends)
 
     def publish(self, topic: RosTopic, message: Message, now: float) -> None:

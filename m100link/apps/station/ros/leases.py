@@ -18,15 +18,7 @@ from m100link.apps.agent.background import TokenBucket
 from m100link.apps.agent.client import AgentClient, given
 from m100link.apps.agent.control_session import ControlSession, ControlState, Terms
 from m100link.apps.agent.lease import LeaseRefused, not_in_force
-from m100link.apps.station.ros.graph import (
-    Ends,
-    Graph,
-    GraphListener,
-    ServiceCall,
-    always,
-    ends_by,
-    never,
-)
+from m100link.apps.station.ros.graph import Graph, GraphListener, ServiceCall
 from m100link.apps.station.ros.messages import Message
 from m100link.errors import CommandRefused, M100Error, UsageError
 from m100link.protocol.firmware import FIRMWARE_3_1, PROFILES, FirmwareProfile
@@ -34,7 +26,6 @@ from m100link.protocol.setpoint import ReceivedMove, Yaw
 
 TASKS: dict[int, orders.Order] = {4: orders.TakeOff(), 6: orders.Land(), 1: orders.GoHome()}
 """What DJI's nodes ask for by the number of a task."""
-WAYS_DOWN = tuple(number for number, task in TASKS.items() if task.ends)
 
 _COMPLAINT_PAUSE = 1.0
 _CONTROL, _COMPLAINED_AT, _ORDERS = "control session", "complained at", "orders"
@@ -57,9 +48,8 @@ class Clients:
         self._notes = TokenBucket(_NOTES_RATE, _NOTES_AT_ONCE)
         self._terms = Terms(activates=False, remedy=remedy)
         graph.on_leave.append(self._left)
-        is_release = ends_by("action", "release")
-        graph.add_service("/m100link/lease", "m100link/Lease", self._on_lease, is_release)
-        graph.add_service("/m100link/stop", "std_srvs/Trigger", self._on_stop, always)
+        graph.add_service("/m100link/lease", "m100link/Lease", self._on_lease)
+        graph.add_service("/m100link/stop", "std_srvs/Trigger", self._on_stop)
 
     def session(self, client: GraphListener) -> ControlSession:
         """The control session of that client; a closed one when the client has gone."""
@@ -166,7 +156,6 @@ class Clients:
         name: str,
         kind: str,
         order: Callable[[GraphListener, Message], Coroutine[Any, Any, object]],
-        ends: Ends = never,
     ) -> None:
         """Take messages of a topic as orders; the client hears when one fails, or is too many."""
 
@@ -177,18 +166,14 @@ class Clients:
                 client.status("error", str(error))
 
         def on_publish(client: GraphListener, message: Message, now: float) -> None:
-            if ends(message) or self.admits(client):
+            if topic.ends(message) or self.admits(client):
                 work = guarded(client, message)
                 self._agent.background.spawn(work, f"{name} for {client.name}")
 
-        self._graph.add_topic(name, kind, on_publish, ends)
+        topic = self._graph.add_topic(name, kind, on_publish)
 
     def offer(
-        self,
-        name: str,
-        kind: str,
-        handler: Callable[[ServiceCall], Coroutine[Any, Any, Message]],
-        ends: Ends = never,
+        self, name: str, kind: str, handler: Callable[[ServiceCall], Coroutine[Any, Any, Message]]
     ) -> None:
         """Offer a service of ``dji_sdk``: a refusal is an answer, trouble is a failure.
 
@@ -208,12 +193,12 @@ class Clients:
             call.respond({name: value for name, value in response.items() if name in known})
 
         def on_call(call: ServiceCall) -> None:
-            if ends(call.request) or self.admits(call.session):
+            if call.ends or self.admits(call.session):
                 self._agent.background.spawn(answer(call), name)
             else:
                 call.fail("more orders than one client may give")
 
-        self._graph.add_service(f"/dji_sdk/{name}", f"dji_sdk/{kind}", on_call, ends)
+        self._graph.add_service(f"/dji_sdk/{name}", f"dji_sdk/{kind}", on_call)
 
     # -- the service -----------------------------------------------------------------------------
 

@@ -18,7 +18,7 @@ from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.messages import MissionReport
 from m100link.apps.agent.orders import Order
-from m100link.apps.station.ros.graph import Graph, ServiceCall, always, ends_by
+from m100link.apps.station.ros.graph import Graph, ServiceCall
 from m100link.apps.station.ros.leases import Clients
 from m100link.apps.station.ros.messages import Message
 from m100link.errors import UsageError
@@ -46,16 +46,20 @@ class MissionTopics:
         self._event = graph.add_topic("/dji_sdk/mission_event", "dji_sdk/MissionPushInfo")
         for name, kind, handler in (
             ("mission_waypoint_upload", "MissionWpUpload", self._upload),
+            ("mission_waypoint_action", "MissionWpAction", self._act),
             ("mission_waypoint_getInfo", "MissionWpGetInfo", self._info),
             ("mission_waypoint_getSpeed", "MissionWpGetSpeed", self._get_speed),
             ("mission_waypoint_setSpeed", "MissionWpSetSpeed", self._set_speed),
             ("mission_hotpoint_upload", "MissionHpUpload", self._upload_circle),
+            ("mission_hotpoint_action", "MissionHpAction", self._act_circle),
             ("mission_hotpoint_getInfo", "MissionHpGetInfo", self._circle_info),
             ("mission_hotpoint_updateRadius", "MissionHpUpdateRadius", self._set_radius),
             ("mission_hotpoint_updateYawRate", "MissionHpUpdateYawRate", self._set_rate),
             ("mission_hotpoint_resetYaw", "MissionHpResetYaw", self._reset_heading),
             ("mission_status", "MissionStatus", self._count),
             ("mission_start", "MissionStart", self._start),
+            ("mission_pause", "MissionPause", self._pause),
+            ("mission_cancel", "MissionCancel", self._cancel),
             ("mission_waypoint_download", "MissionWpDownload", self._info),
             ("mission_waypoint_get_speed", "MissionWpGetSpeed", self._get_speed),
             ("mission_waypoint_set_speed", "MissionWpSetSpeed", self._set_speed),
@@ -65,18 +69,6 @@ class MissionTopics:
             ("mission_hotpoint_reset_yaw", "MissionHpResetYaw", self._reset_heading),
         ):
             clients.offer(name, kind, handler)
-        for name, kind, handler, ends in (
-            ("mission_waypoint_action", "MissionWpAction", self._act, ends_by("action", 1, 2)),
-            (
-                "mission_hotpoint_action",
-                "MissionHpAction",
-                self._act_circle,
-                ends_by("action", 1, 2),
-            ),
-            ("mission_pause", "MissionPause", self._pause, ends_by("pause", 0)),
-            ("mission_cancel", "MissionCancel", self._cancel, always),
-        ):
-            clients.offer(name, kind, handler, ends)
         agent.on_mission_report.append(self._on_report)
         agent.background.spawn(self._keep_telling(), "mission status")
 

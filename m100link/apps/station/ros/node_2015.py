@@ -28,8 +28,8 @@ from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.lease import LeaseHeld
 from m100link.apps.agent.orders import ANGLE_MODE, VELOCITY_MODE, setpoint_of
-from m100link.apps.station.ros.graph import Graph, GraphListener, Publication, RosTopic, never
-from m100link.apps.station.ros.leases import TASKS, WAYS_DOWN, Clients
+from m100link.apps.station.ros.graph import Graph, GraphListener, Publication, RosTopic
+from m100link.apps.station.ros.leases import TASKS, Clients
 from m100link.apps.station.ros.messages import Message
 from m100link.errors import (
     ActivationRefused,
@@ -55,7 +55,7 @@ REPEAT_LIFETIME = 0.2  # seconds of a setpoint that was repeated: held keys repe
 NO_AUTHORITY = 8.0
 """On ``/activation_status``: an answer said that something is missing (codes 0xFF00 to 0xFF02)."""
 
-_CLOSED_BY_APP, _CLOSE = 4.0, 0
+_CLOSED_BY_APP = 4.0
 _VERSION_PAUSE = 10.0
 _MODE, _LAST = "control mode", "last setpoint"
 _NEEDS_MORE = (NotActivated, LevelTooLow, CommandNotSupported, KeyRejected)
@@ -67,15 +67,14 @@ class Node2015:
     def __init__(self, agent: AgentClient, graph: Graph, clients: Clients) -> None:
         self._agent, self._graph, self._clients = agent, graph, clients
         number = "std_msgs/Float32"
-        for name, work, ends in (
-            ("/sdk_request_cmd", self._command, lambda one: _is_byte(one, *WAYS_DOWN)),
-            ("/nav_open_close_request", self._open_or_close, lambda one: _is_byte(one, _CLOSE)),
-            ("/sdk_request_simple_task", self._simple_task, lambda one: one["data"] <= -1.0),
-            ("/sdk_request_activation", self._activate, never),
+        for name, work in (
+            ("/sdk_request_cmd", self._command),
+            ("/nav_open_close_request", self._open_or_close),
+            ("/sdk_request_simple_task", self._simple_task),
+            ("/sdk_request_activation", self._activate),
         ):
-            clients.hear(name, number, work, ends)
-        name, kind = "/sdk_request_ctrl", "geometry_msgs/Quaternion"
-        graph.add_topic(name, kind, self._on_control, lambda one: not any(one.values()))
+            clients.hear(name, number, work)
+        graph.add_topic("/sdk_request_ctrl", "geometry_msgs/Quaternion", self._on_control)
         graph.add_topic("/sdk_request_ctrl_mode", number, self._on_mode)
         self._battery = graph.add_topic("/battery_status", number)
         self._open_close = graph.add_topic("/nav_open_close_status", number)
@@ -122,7 +121,7 @@ class Node2015:
 
     async def _open_or_close(self, session: GraphListener, message: Message) -> None:
         wanted = _byte(message["data"])
-        if wanted not in (_CLOSE, 1):
+        if wanted not in (0, 1):
             raise UsageError(f"/nav_open_close_request takes 1 (open) or 0 (close), not {wanted}")
         try:
             await self._clients.switch(session, on=bool(wanted))
@@ -196,10 +195,6 @@ class Node2015:
         if now - self._version_sent_at >= _VERSION_PAUSE:
             self._version_sent_at = now
             self._agent.note(text)
-
-
-def _is_byte(message: Message, *numbers: int) -> bool:
-    return math.isfinite(message["data"]) and _byte(message["data"]) in numbers
 
 
 def _byte(data: float) -> int:

@@ -25,7 +25,7 @@ from typing import Any
 from m100link.apps.agent import orders
 from m100link.apps.agent.client import PRESSED_AT, AgentClient
 from m100link.apps.station.ros.actions import ActionServer, Tell
-from m100link.apps.station.ros.graph import Graph, GraphListener, ServiceCall, ends_by
+from m100link.apps.station.ros.graph import Graph, GraphListener, ServiceCall
 from m100link.apps.station.ros.leases import Clients
 from m100link.apps.station.ros.messages import Message
 from m100link.errors import M100Error, NotObserved, UsageError
@@ -189,8 +189,6 @@ _WHY_NOT = (
     "and flies no follow-me mission"
 )
 
-_DOWN: Mapping[int, orders.Order] = {2: orders.Land(), 3: orders.GoHome()}  # by number of the goal
-
 _ARE_SILENT = {"A3_GPS": "A3GPS", "A3_RTK": "A3RTK"}  # an A3 has these; the M100 does not
 
 
@@ -218,21 +216,12 @@ class Node2016:
         )
         self._add_services()
         for name, kind, work in (
+            ("drone_task_action", "DroneTask", self._do_task),
             ("local_position_navigation_action", "LocalPositionNavigation", self._go_local),
             ("global_position_navigation_action", "GlobalPositionNavigation", self._go_global),
             ("waypoint_navigation_action", "WaypointNavigation", self._go_waypoints),
         ):
             ActionServer(agent, graph, clients, f"/dji_sdk/{name}", f"dji_sdk/{kind}", work)
-        name, kind = "/dji_sdk/drone_task_action", "dji_sdk/DroneTask"
-        ActionServer(
-            agent,
-            graph,
-            clients,
-            name,
-            kind,
-            self._do_task,
-            lambda one: one["goal"]["task"] in _DOWN,
-        )
         WebGroundStation(agent, graph, clients, self._go_waypoints)
 
     def tell_from_mobile(self, data: bytes) -> None:
@@ -355,7 +344,8 @@ class Node2016:
 
     async def _do_task(self, client: GraphListener, goal: Message, tell: Tell) -> None:
         """Done when the aircraft has accepted it, as in DJI's node."""
-        order = {1: orders.TakeOff(), **_DOWN}.get(goal["task"])
+        tasks = {1: orders.TakeOff(), 2: orders.Land(), 3: orders.GoHome()}
+        order = tasks.get(goal["task"])
         if order is None:
             raise UsageError("tasks of this action are 1 (take-off), 2 (landing) and 3 (go-home)")
         session = self._clients.session(client)
@@ -472,10 +462,8 @@ class WebGroundStation:
         name = f"{_WEB}/web_waypoint_receive_action"
         kind = f"{_WEB[1:]}/WebWaypointReceive"
         self._server = ActionServer(agent, graph, clients, name, kind, self._work)
-        ctrl, cmd = f"{_WEB}/map_nav_srv/ctrl", f"{_WEB}/map_nav_srv/cmd"
-        clients.hear(ctrl, "std_msgs/Bool", self._switch, ends_by("data", False))
-        kind = f"{_WEB[1:]}/MapNavSrvCmd"
-        graph.add_topic(cmd, kind, self._on_command, ends_by("cmdCode", _CANCEL))
+        clients.hear(f"{_WEB}/map_nav_srv/ctrl", "std_msgs/Bool", self._switch)
+        graph.add_topic(f"{_WEB}/map_nav_srv/cmd", f"{_WEB[1:]}/MapNavSrvCmd", self._on_command)
 
     async def _switch(self, client: GraphListener, message: Message) -> None:
         await self._clients.switch(client, on=message["data"], activates=True)

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from m100link.apps.station.ros.client import Client, ClientLimits
-from m100link.apps.station.ros.graph import Graph, GraphListener, ServiceCall, add_rosapi, always
+from m100link.apps.station.ros.graph import Graph, GraphListener, ServiceCall, add_rosapi
 from m100link.apps.station.ros.messages import Message
 from tests.apps.station.ros.test_messages import unpack_png
 
@@ -282,11 +282,11 @@ def test_calls_without_an_answer_are_limited() -> None:
 def test_a_call_that_ends_a_flight_is_not_counted() -> None:
     bench = Bench(ClientLimits(calls=2))
     stops: list[ServiceCall] = []
-    bench.graph.add_service("/stop", "std_srvs/Trigger", stops.append, always)
+    bench.graph.add_service("/m100link/stop", "std_srvs/Trigger", stops.append)
     for _ in range(2):
         assert bench.send("call_service", service="/task") == []
     for _ in range(20):
-        assert bench.send("call_service", service="/stop") == []
+        assert bench.send("call_service", service="/m100link/stop") == []
     for stop in stops:
         stop.respond({})
     bench.output()
