@@ -100,6 +100,7 @@ class ControlBlock:
                 loop.time,
                 lambda: commander.link.latency.slack_s,
             ),
+            commander.link.latency,
         )
 
     @property

@@ -124,11 +124,10 @@ class VirtualRc:
             patience_of(guardian),
         )
         self._on_signal = partial(self._end, StopCause.SIGNALLED)
-        self._guards = GuardKeeper(
-            guards or Guards(), commander.state, latency=commander.link.latency
-        )
+        state, latency = commander.state, commander.link.latency
+        self._guards = GuardKeeper(guards or Guards(), state, latency=latency)
         self._watchdog = TelemetryWatchdog(
-            commander.state, self._guards.guards, self._end, self._loop
+            state, self._guards.guards, self._end, self._loop, latency=latency
         )
         self._sticks = CENTRED
         self._renewed_at = 0.0

@@ -17,6 +17,7 @@ from m100link.errors import (
 from m100link.flight.guards import Guards, known, over_ground
 from m100link.flight.lifecycle import StopCause
 from m100link.geodesy import normalize_degrees
+from m100link.link import Latency
 from m100link.protocol.records import Attitude, FlightPhase, FlightStatus, Position, Velocity
 from m100link.protocol.setpoint import Horizontal, ReferenceFrame, Setpoint, Vertical, Yaw
 from m100link.telemetry.state import STEER_S, AircraftState
@@ -333,8 +334,10 @@ class TelemetryWatchdog:
         loop: asyncio.AbstractEventLoop,  # whose clock and timers are used
         # Whether setpoints are followed; None where nobody can know.
         following: FollowCheck | None = None,
+        latency: Latency | None = None,  # of the line; None: nobody measures it
     ) -> None:
         self._state = state
+        self._latency = latency
         self._limit = guards.stale_telemetry_s
         self._checks_integrity = guards.integrity
         self._following = following if guards.integrity else None
@@ -392,14 +395,14 @@ class TelemetryWatchdog:
             return True
         if self._is_forgiven():
             return True
-        self._end(
-            StopCause.TELEMETRY_STALLED,
-            TelemetryStalled(
-                f"no telemetry for {age:.1f} s while flying",
-                cause="the line from the aircraft is broken, or this program was blocked",
-                remedy="check the line; a program that blocks must not fly",
-            ),
-        )
+        cause = "the line from the aircraft is broken, or this program was blocked"
+        remedy = "check the line; a program that blocks must not fly"
+        if self._latency is not None and self._latency.is_slow:
+            cause += f"; or {self._latency}, and a network repeated what it had lost"
+            remedy += "; Guards(stale_telemetry_s=…) above the round trip waits for a repeat"
+        seen = f"no telemetry for {age:.1f} s while flying"
+        error = TelemetryStalled(seen, cause=cause, remedy=remedy)
+        self._end(StopCause.TELEMETRY_STALLED, error)
         return False
 
     def _is_forgiven(self) -> bool:

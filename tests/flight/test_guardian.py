@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
+import math
 import mmap
 import os
 import random
@@ -19,6 +20,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections import deque
 from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager, contextmanager
 from pathlib import Path
@@ -48,10 +50,13 @@ FROM_OUTSIDE = {"SIGQUIT": signal.SIGQUIT, "SIGKILL": signal.SIGKILL}
 
 
 class ForeignOverTcp(ForeignMatrice):
-    """One behind a host between, for one connection."""
+    """One behind a host between, for one connection; ``delay``: seconds each way."""
 
-    def __init__(self, firmware: str) -> None:
+    def __init__(self, firmware: str, delay: float = 0.0) -> None:
         super().__init__(firmware)
+        self._delay = delay
+        self._coming: deque[tuple[float, bytes]] = deque()  # what is on its way, and when it is due
+        self._going: deque[tuple[float, bytes]] = deque()
         self._server = socket.create_server(("127.0.0.1", 0))
         self.name = f"tcp://127.0.0.1:{self._server.getsockname()[1]}"
         self._line: socket.socket | None = None
@@ -72,21 +77,33 @@ class ForeignOverTcp(ForeignMatrice):
             if self._is_over.is_set():
                 return
         self._line, _ = self._server.accept()
+        is_open = True
         with self._line:
-            while not self._is_over.is_set():
+            while not self._is_over.is_set() and (is_open or self._coming):
                 if self.now() >= self._next_at:
                     self.step()
-                wait = max(0.0, self._next_at - self.now())
-                if select.select([self._line], [], [], wait)[0]:
+                wait = max(0.0, min(self._next_at, *self._due()) - self.now())
+                if is_open and select.select([self._line], [], [], wait)[0]:
                     try:
                         data = self._line.recv(4096)
                     except OSError:
-                        return
-                    if not data:
-                        return
-                    self.receive(data)
+                        data = b""
+                    is_open = bool(data)
+                    self._coming.append((self.now() + self._delay, data))
+                elif not is_open:
+                    time.sleep(wait)
+                while self._coming and self._coming[0][0] <= self.now():
+                    self.receive(self._coming.popleft()[1])
+                while is_open and self._going and self._going[0][0] <= self.now():
+                    self._send(self._going.popleft()[1])
+
+    def _due(self) -> list[float]:
+        return [queue[0][0] for queue in (self._coming, self._going) if queue] or [math.inf]
 
     def _write(self, data: bytes) -> None:
+        self._going.append((self.now() + self._delay, data))
+
+    def _send(self, data: bytes) -> None:
         if self._line is not None and select.select([], [self._line], [], 0.0)[1]:
             try:
                 self._line.sendall(data)
@@ -98,8 +115,8 @@ Foreign = ForeignAircraft | ForeignOverTcp
 
 
 @contextmanager
-def over_tcp(firmware: str) -> Iterator[ForeignOverTcp]:
-    there = ForeignOverTcp(firmware)
+def over_tcp(firmware: str, delay: float = 0.0) -> Iterator[ForeignOverTcp]:
+    there = ForeignOverTcp(firmware, delay)
     try:
         yield there
     finally:
@@ -175,6 +192,13 @@ def test_the_flight_is_ended_for_aircraft_of_every_firmware(firmware: str, mode:
 @pytest.mark.parametrize("end", ["kill", "sleep", "execv"])
 def test_the_flight_is_ended_over_tcp(end: str, mode: str) -> None:
     with over_tcp("3.1") as there, flown(there, mode, end):
+        assert_ended_in_order(there, mode)
+
+
+@pytest.mark.pty
+@pytest.mark.parametrize("mode", MODES)
+def test_the_flight_is_ended_over_a_line_that_takes_a_second_each_way(mode: str) -> None:
+    with over_tcp("3.1", delay=1.0) as there, flown(there, mode, "kill"):
         assert_ended_in_order(there, mode)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable
+from pathlib import Path
 from random import Random
 
 import pytest
@@ -12,21 +13,32 @@ from m100link import (
     AckTimeout,
     Aircraft,
     BackOff,
+    Credentials,
     Envelope,
+    Finished,
+    FlightPhase,
     GuardRefused,
     Guards,
+    LinkLost,
     M100Error,
     NoAnswer,
+    Reached,
     Setpoint,
     SilentLine,
     SupervisionState,
+    TelemetryStalled,
+    Waypoint,
+    WaypointPlan,
     connect,
 )
 from m100link.aircraft.supervising import Supervised
-from m100link.protocol.records import Device
+from m100link.geodesy import LocalFrame
+from m100link.protocol.records import Device, FlightStatus
+from m100link.sim import DEMO_APP_ID, DEMO_KEY
 from m100link.sim.line import LineFaults
 from m100link.testing import ConnectableAircraft
-from tests.rig import FIRMWARES, Rig, put_in_the_air, rig
+from tests.apps.cli.conftest import Simulator
+from tests.rig import FIRMWARES, NORTH, Rig, put_in_the_air, rig
 
 pytestmark = pytest.mark.anyio
 
@@ -123,6 +135,71 @@ async def test_a_lost_line_is_connected_again_and_activated(delay: float) -> Non
         await asyncio.sleep(12.0)
         assert supervised.round_trip is None or supervised.round_trip >= 2 * delay - 0.001
     virtual.stop()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("loss", LOSSES)
+@pytest.mark.parametrize("delay", [0.35, 2.0])
+async def test_a_mission_is_uploaded_flown_and_reported(delay: float, loss: float) -> None:
+    """Each waypoint of the upload costs a round trip; the autopilot flies it without the line."""
+    async with rig(seed=11, firmware="3.1", faults=slow(delay)) as flown:
+        await airborne(flown, delay)
+        here = flown.aircraft.state.position
+        assert here is not None
+        frame = LocalFrame(here.latitude_deg, here.longitude_deg)
+        corners = ((10.0, 0.0), (10.0, 10.0), (0.0, 10.0), (0.0, 0.0))
+        points = [Waypoint(*frame.to_geodetic(*corner), height=8.0) for corner in corners]
+        flown.virtual.set_faults(slow(delay, loss))
+        began_at = now()
+        async with flown.aircraft.control() as control:
+            async with control.waypoint_mission(WaypointPlan(points, speed=4.0)) as mission:
+                events = [event async for event in mission]
+        took = now() - began_at
+        # Twice for authority, the task, four waypoints, the start, at the end the release.
+        assert took > 8 * 2 * delay
+        assert [one.index for one in events if isinstance(one, Reached)] == [0, 1, 2, 3]
+        assert isinstance(events[-1], Finished)
+        await asyncio.sleep(2 * delay + 1.0)
+        assert flown.is_released
+        assert flown.virtual.height == pytest.approx(8.0, abs=0.5)
+
+
+async def test_telemetry_that_stops_on_a_slow_line_has_the_latency_as_a_cause() -> None:
+    async with rig(seed=1, faults=slow(1.0)) as flown:
+        await airborne(flown, 1.0)
+        with pytest.raises(TelemetryStalled, match=r"no telemetry for 1\.0 s") as caught:
+            async with flown.aircraft.control() as control:
+                flown.virtual.set_faults(LineFaults(delay=1.0, mute=True))
+                await flown.fly(control, 20.0)
+    assert "the line is slow: 2 s round trip" in caught.value.cause
+    assert "stale_telemetry_s" in caught.value.remedy
+
+
+@pytest.mark.pty
+@pytest.mark.slow
+def test_over_real_tcp_it_takes_off_is_cut_off_comes_back_and_lands(tmp_path: Path) -> None:
+    """The same at 2 and 5 s took 97 and 204 s, at a load of 18 on two cores."""
+
+    async def fly(url: str) -> None:
+        async with connect(url) as aircraft:
+            assert aircraft.statistics().round_trip_s == pytest.approx(2.0, abs=0.5)
+            await aircraft.activate(Credentials(app_id=DEMO_APP_ID, key=DEMO_KEY))
+            with pytest.raises(LinkLost):
+                async with aircraft.control() as control:
+                    await control.take_off()
+                    async for _ in control.ticks():
+                        control.send(NORTH)
+                        aircraft.link._transport.abort()  # type: ignore[union-attr] # it is open
+        async with connect(url) as aircraft, aircraft.control(stop="land"):
+            assert aircraft.state.flight_status == FlightStatus(FlightPhase.IN_AIR)
+        assert aircraft.state.flight_status is not None
+        assert aircraft.state.flight_status.phase is FlightPhase.STANDBY
+
+    running = Simulator(tmp_path, "--tcp", "127.0.0.1:0", "--delay", "1", "--activated")
+    try:
+        asyncio.run(fly(running.port))
+    finally:
+        running.close()
 
 
 async def test_an_answer_counts_until_the_time_out_and_not_after_it() -> None:
