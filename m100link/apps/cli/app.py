@@ -6,10 +6,19 @@ import inspect
 import re
 import signal
 import sys
+from difflib import get_close_matches
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
-from cyclopts import App, CycloptsError, CycloptsPanel, Group, Parameter, UnusedCliTokensError
+from cyclopts import (
+    App,
+    CycloptsError,
+    CycloptsPanel,
+    Group,
+    Parameter,
+    UnknownCommandError,
+    UnusedCliTokensError,
+)
 
 import m100link
 from m100link.apps.cli import end_at_once
@@ -251,6 +260,17 @@ def _renamed(words: list[str]) -> list[str]:
     return made + words[len(options) :]
 
 
+def _useless(error: UnusedCliTokensError | UnknownCommandError) -> UsageError:
+    """Words that name no verb, or that a verb has no use for; and the nearest verb."""
+    called, words = " ".join(("m100link", *(error.command_chain or ()))), error.unused_tokens or []
+    near = get_close_matches(words[0].lower(), error.app or (), 1)
+    is_verb = isinstance(error, UnknownCommandError)
+    what = f"verb {words[0]!r}" if is_verb else f"use for {' '.join(words)}"
+    first = f"did you mean {called} {near[0]}?" if near else "" if is_verb else "leave it out;"
+    remedy = f"{first} {called} --help lists what there is".strip()
+    return UsageError(f"{called} has no {what}", remedy=remedy)
+
+
 def _status_of(words: list[str]) -> int:
     asked = app if VERBS.keys() & set(words) else application(overview=True)
     try:
@@ -264,14 +284,8 @@ def _status_of(words: list[str]) -> int:
                 from m100link.apps.cli.common import run_async  # decoding a frame needs none
 
                 status = run_async(status)
-    except UnusedCliTokensError as error:
-        called = " ".join(("m100link", *(error.command_chain or ())))
-        return complain(
-            UsageError(
-                f"{called} has no use for {' '.join(error.unused_tokens or ())}",
-                remedy=f"leave it out; {called} --help lists what it takes",
-            )
-        )
+    except (UnusedCliTokensError, UnknownCommandError) as error:
+        return complain(_useless(error))
     except CycloptsError as error:
         (error.console or asked.error_console).print(CycloptsPanel(error))
         return ExitCode.USAGE

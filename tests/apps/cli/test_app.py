@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import logging
+import random
 import shlex
 import subprocess
 import sys
@@ -66,6 +67,49 @@ def test_a_word_too_many_is_named_with_its_verb(cli: CommandLine) -> None:
     assert outcome.status == ExitCode.USAGE
     assert "m100link hz has no use for attitude" in outcome.err
     assert "m100link hz --help" in outcome.err
+
+
+_INNER = (
+    *(("sim", "compare"), ("fleet", "takeoff"), ("mission", "resume")),
+    *(("log", "parquet"), ("plan", "survey")),
+)
+
+
+def _typing_errors() -> list[tuple[str, str, str]]:
+    """Each verb, and verbs of verbs, with one letter left out, doubled or swapped."""
+    chance, found = random.Random(33), []
+    for verb, inner in (*((one, "") for one in VERBS), *_INNER):
+        word = inner or verb
+        if len(word) < 4:
+            continue
+        at = chance.randrange(1, len(word) - 1)
+        head, letter, tail = word[:at], word[at], word[at + 1 :]
+        swapped = head[:-1] + letter + head[-1] + tail
+        wrong = chance.choice([head + tail, head + 2 * letter + tail, swapped])
+        if wrong not in VERBS and wrong != word:
+            found.append((verb, inner, wrong))
+    return found
+
+
+@pytest.mark.parametrize(("verb", "inner", "wrong"), _typing_errors())
+def test_a_verb_that_is_mistyped_names_the_nearest(
+    cli: CommandLine, verb: str, inner: str, wrong: str
+) -> None:
+    outcome = cli(*([verb, wrong] if inner else [wrong]))
+    assert outcome.status == ExitCode.USAGE
+    meant = f"m100link {verb} {inner}".strip()
+    assert f"did you mean {meant}?" in " ".join(outcome.err.split()), outcome.err
+
+
+def test_an_option_that_is_mistyped_names_the_nearest(cli: CommandLine) -> None:
+    outcome = cli("info", "--firmwear", "3.1")
+    assert outcome.status == ExitCode.USAGE
+    assert "Did you mean --firmware?" in outcome.err + outcome.out
+
+
+def test_a_word_that_is_like_no_verb_is_named(cli: CommandLine) -> None:
+    assert "m100link has no verb 'xyzzy'" in cli("xyzzy").err
+    assert "did you mean" not in cli("xyzzy").err
 
 
 def test_a_column_that_is_almost_one_is_named(cli: CommandLine) -> None:
