@@ -329,11 +329,7 @@ class MissionSession:
             if self._is_seen_over:  # heard by the aircraft all the same
                 self._end(RunInput.STOPPED)
                 return
-            self.feed(RunInput.NOT_STOPPED)
             raise self._unanswered() from error
-        except M100Error:
-            self.feed(RunInput.NOT_STOPPED)
-            raise
         if code in AUTHORITY_CODES:
             _logger.warning(
                 "the stop of the %s was refused, because somebody else has the aircraft: %s",
@@ -341,7 +337,6 @@ class MissionSession:
                 code.meaning,
             )
         elif code is not MissionCode.SUCCESS and code not in STOPPED_CODES:
-            self.feed(RunInput.NOT_STOPPED)
             raise mission_refused(f"the stop of the {self.name}", code)
         self._end(RunInput.STOPPED, is_answered=True)
 
