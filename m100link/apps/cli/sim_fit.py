@@ -103,65 +103,36 @@ def _angles(attitude: Attitude) -> tuple[float, float, float]:
 # (3.2 to 3.8) follows REP 103: east-north-up, forward-left-up.
 
 
-def _flu_enu(x: float, y: float, z: float, w: float) -> tuple[float, float, float]:
+Hear = Callable[[FlightRecording, float, Any], None]
+
+
+def _flu_enu(q: Any) -> tuple[float, float, float]:
     """Roll, pitch and yaw of the document from a quaternion of REP 103."""
     half = math.sqrt(0.5)
+    w, x, y, z = q.w, q.x, q.y, q.z
     return _angles(Attitude((w + z) * half, (x + y) * half, (x - y) * half, (w - z) * half))
 
 
-def _quaternion(message: Any) -> tuple[float, float, float]:
-    return _flu_enu(message.x, message.y, message.z, message.w)
+def _frd(flu: Any) -> tuple[float, float, float]:
+    return flu.x, -flu.y, -flu.z
 
 
-def _hear_imu(recording: FlightRecording, at: float, message: Any) -> None:
-    recording.attitude.append((at, *_quaternion(message.orientation)))
-    rates, force = message.angular_velocity, message.linear_acceleration
-    recording.rates.append((at, rates.x, -rates.y, -rates.z))
-    recording.acceleration.append((at, force.x, -force.y, -force.z))
-
-
-def _hear_attitude(recording: FlightRecording, at: float, message: Any) -> None:
-    recording.attitude.append((at, *_quaternion(message.quaternion)))
-
-
-def _hear_velocity(recording: FlightRecording, at: float, message: Any) -> None:
-    enu = message.vector
-    recording.velocity.append((at, enu.y, enu.x, enu.z))
-
-
-def _hear_attitude_3_1(recording: FlightRecording, at: float, message: Any) -> None:
-    attitude = Attitude(message.q0, message.q1, message.q2, message.q3)
-    recording.attitude.append((at, *_angles(attitude)))
-    recording.rates.append((at, message.wx, message.wy, message.wz))
-
-
-def _hear_velocity_3_1(recording: FlightRecording, at: float, message: Any) -> None:
-    recording.velocity.append((at, message.vx, message.vy, message.vz))
-
-
-def _hear_acceleration_3_1(recording: FlightRecording, at: float, message: Any) -> None:
-    recording.acceleration.append((at, message.ax, message.ay, message.az))
-
-
-def _hear_position_3_1(recording: FlightRecording, at: float, message: Any) -> None:
-    recording.height.append((at, message.height))
-
-
-def _hear_height(recording: FlightRecording, at: float, message: Any) -> None:
-    recording.height.append((at, message.data))
-
-
-def _hear_battery(recording: FlightRecording, at: float, message: Any) -> None:
+def _percent(charge: float) -> float:
     # DJI's node says 0 to 100, although ROS defines 0 to 1.
-    charge = message.percentage
-    recording.battery.append((at, charge * 100.0 if charge <= 1.0 else float(charge)))
+    return charge * 100.0 if charge <= 1.0 else float(charge)
 
 
-def _hear_status(recording: FlightRecording, at: float, message: Any) -> None:
-    recording.flying.append((at, float(message.data in _IN_THE_AIR)))
+def _hears(**series: Callable[[Any], tuple[float, ...]]) -> Hear:
+    """Keep what each function reads of a message, in the series of that name."""
+
+    def hear(recording: FlightRecording, at: float, message: Any) -> None:
+        for name, values in series.items():
+            getattr(recording, name).append((at, *values(message)))
+
+    return hear
 
 
-def _hear_joy(flag: int | None) -> Callable[[FlightRecording, float, Any], None]:
+def _hear_joy(flag: int | None) -> Hear:
     def hear(recording: FlightRecording, at: float, message: Any) -> None:
         axes = [float(one) for one in message.axes]
         if len(axes) < (5 if flag is None else 4) or not all(map(math.isfinite, axes)):
@@ -186,27 +157,41 @@ def _hear_roll_pitch(recording: FlightRecording, at: float, message: Any) -> Non
 
 
 _JOY = "sensor_msgs/msg/Joy"
-_HEARD: dict[tuple[str, str | None], Callable[[FlightRecording, float, Any], None]] = {
-    ("sensor_msgs/msg/Imu", "imu"): _hear_imu,
-    ("geometry_msgs/msg/QuaternionStamped", "attitude"): _hear_attitude,
-    ("geometry_msgs/msg/Vector3Stamped", "velocity"): _hear_velocity,
-    ("std_msgs/msg/Float32", "height_above_takeoff"): _hear_height,
-    ("sensor_msgs/msg/BatteryState", "battery_state"): _hear_battery,
-    ("std_msgs/msg/UInt8", "flight_status"): _hear_status,
+_BATTERY = _hears(battery=lambda m: (_percent(m.percentage),))
+_HEARD: dict[tuple[str, str | None], Hear] = {
+    ("sensor_msgs/msg/Imu", "imu"): _hears(
+        attitude=lambda m: _flu_enu(m.orientation),
+        rates=lambda m: _frd(m.angular_velocity),
+        acceleration=lambda m: _frd(m.linear_acceleration),
+    ),
+    ("geometry_msgs/msg/QuaternionStamped", "attitude"): _hears(
+        attitude=lambda m: _flu_enu(m.quaternion)
+    ),
+    ("geometry_msgs/msg/Vector3Stamped", "velocity"): _hears(
+        velocity=lambda m: (m.vector.y, m.vector.x, m.vector.z)
+    ),
+    ("std_msgs/msg/Float32", "height_above_takeoff"): _hears(height=lambda m: (m.data,)),
+    ("sensor_msgs/msg/BatteryState", "battery_state"): _BATTERY,
+    ("std_msgs/msg/UInt8", "flight_status"): _hears(
+        flying=lambda m: (float(m.data in _IN_THE_AIR),)
+    ),
     (_JOY, "flight_control_setpoint_generic"): _hear_joy(None),
     (_JOY, "flight_control_setpoint_ENUvelocity_yawrate"): _hear_joy(0x49),
     (_JOY, "flight_control_setpoint_ENUposition_yaw"): _hear_joy(0x91),
     (_JOY, "flight_control_setpoint_rollpitch_yawrate_zposition"): _hear_joy(0x1B),
     ("mav_msgs/msg/RollPitchYawrateThrust", None): _hear_roll_pitch,
-    ("dji_sdk/msg/AttitudeQuaternion", None): _hear_attitude_3_1,
-    ("dji_sdk/msg/Velocity", None): _hear_velocity_3_1,
-    ("dji_sdk/msg/Acceleration", None): _hear_acceleration_3_1,
-    ("dji_sdk/msg/GlobalPosition", None): _hear_position_3_1,
-    ("dji_sdk/msg/PowerStatus", None): _hear_battery,
+    ("dji_sdk/msg/AttitudeQuaternion", None): _hears(
+        attitude=lambda m: _angles(Attitude(m.q0, m.q1, m.q2, m.q3)),
+        rates=lambda m: (m.wx, m.wy, m.wz),
+    ),
+    ("dji_sdk/msg/Velocity", None): _hears(velocity=lambda m: (m.vx, m.vy, m.vz)),
+    ("dji_sdk/msg/Acceleration", None): _hears(acceleration=lambda m: (m.ax, m.ay, m.az)),
+    ("dji_sdk/msg/GlobalPosition", None): _hears(height=lambda m: (m.height,)),
+    ("dji_sdk/msg/PowerStatus", None): _BATTERY,
 }
 
 
-def _hearer(kind: str, topic: str) -> Callable[[FlightRecording, float, Any], None] | None:
+def _hearer(kind: str, topic: str) -> Hear | None:
     last = topic.rpartition("/")[2]
     return _HEARD.get((kind, last)) or _HEARD.get((kind, None))
 
