@@ -110,7 +110,6 @@ class CommandedAircraft(Protocol):
 
     def set_rates(self, rates_hz: dict[str, int]) -> None:
         """Send telemetry items at these rates."""
-        ...
 
 
 class CommandTable:

@@ -35,7 +35,6 @@ class Flying(Protocol):
 
     def interrupt(self) -> None:
         """Begin the stop path, without waiting."""
-        ...
 
 
 class SyncSignals(OtherWatch):

@@ -72,7 +72,6 @@ class Block(Protocol):
 
     def require_flying(self, what: str) -> None:
         """Raise unless it may send."""
-        ...
 
     def waiting(self, what: str) -> AbstractContextManager[None]:
         """End a wait in here with it."""
@@ -80,7 +79,6 @@ class Block(Protocol):
 
     def end(self, cause: StopCause, failure: M100Error | None = None) -> None:
         """End it: its stop path begins."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)

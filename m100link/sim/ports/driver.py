@@ -35,19 +35,15 @@ class Port(Protocol):
 
     def write(self, frames: list[bytes]) -> None:
         """Send frames, or drop what there is no room for."""
-        ...
 
     def unplug(self) -> None:
         """Disconnect the peer."""
-        ...
 
     def replug(self) -> None:
         """Come back."""
-        ...
 
     def close(self) -> None:
         """End for good."""
-        ...
 
 
 class TimedScenario(Protocol):
