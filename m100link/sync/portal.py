@@ -332,9 +332,15 @@ def like(
     method: Callable[Concatenate[Any, P], object],
 ) -> Callable[[Callable[..., T]], Callable[Concatenate[Any, P], T]]:
     """Give a method the arguments and the docstring of the one with ``await``."""
+    wanted = inspect.signature(method)
 
     def marked(made: Callable[..., T]) -> Callable[Concatenate[Any, P], T]:
-        shown_as(made, method, get_type_hints(made)["return"])
-        return made
+        def call(self: Any, /, *args: P.args, **kwargs: P.kwargs) -> T:
+            wanted.bind(self, *args, **kwargs)  # a misspelt one is an error here, not in the block
+            return made(self, *args, **kwargs)
+
+        call.__doc__ = made.__doc__
+        shown_as(call, method, get_type_hints(made)["return"])
+        return call
 
     return marked

@@ -73,6 +73,14 @@ def test_following_asks_in_this_thread(connect: Connect) -> None:
     assert threads == {threading.get_ident()}
 
 
+@pytest.mark.parametrize("name", ["hold", "ticks", "hotpoint", "waypoint_mission"])
+def test_a_misspelt_argument_is_an_error_of_the_call_and_not_of_its_block(
+    connect: Connect, name: str
+) -> None:
+    with pytest.raises(TypeError):
+        getattr(connect().control(), name)(1.0, hight=3.0)
+
+
 def test_an_error_in_the_block_takes_the_stop_path(connect: Connect) -> None:
     aircraft = activated(connect)
     with pytest.raises(ZeroDivisionError), aircraft.control() as control:
