@@ -18,7 +18,7 @@ from m100link import errors
 from m100link.apps.cli.manual import error_classes
 from m100link.apps.cli.terminal import exit_code
 from tests.published_errors import EXIT_STATUS, PUBLISHED, UNTOLD
-from tests.test_house import MODULES, tree
+from tests.test_house import MODULES, statements, tree
 
 
 def error_tree() -> dict[str, str]:
@@ -80,18 +80,17 @@ CLASSES = error_classes()
 
 def test_all_classes_are_found_wherever_they_stand() -> None:
     """By their code, which every one has."""
-    declared = {
-        node.name
+    classes = [
+        node
         for path in MODULES.values()
-        for node in ast.walk(tree(path))
-        if isinstance(node, ast.ClassDef) and {word.arg for word in node.keywords} & {"code"}
-    }
+        for node in statements(tree(path))
+        if isinstance(node, ast.ClassDef)
+    ]
+    declared = {node.name for node in classes if {word.arg for word in node.keywords} & {"code"}}
     bases = {
         node.name
-        for path in MODULES.values()
-        for node in ast.walk(tree(path))
-        if isinstance(node, ast.ClassDef)
-        and {ast.unparse(base).rpartition(".")[2] for base in node.bases}
+        for node in classes
+        if {ast.unparse(base).rpartition(".")[2] for base in node.bases}
         & (declared | {"M100Error"})
     }
     assert bases == declared

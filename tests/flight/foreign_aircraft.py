@@ -9,6 +9,7 @@ streams telemetry, and notes each movement with its time and whether a Matrice w
 from __future__ import annotations
 
 import asyncio
+import functools
 import math
 import os
 import random
@@ -46,12 +47,19 @@ ITEMS = {"time": 0, "position": 5, "rc": 7, "status": 9, "battery": 10, "device"
 
 def checksum(data: bytes, polynomial: int) -> int:
     """Reflected, start 0x3AA3, no final xor: 0xA001 for the header, 0xEDB88320 for the frame."""
-    register = 0x3AA3
+    register, table = 0x3AA3, remainders(polynomial)
     for byte in data:
-        register ^= byte
-        for _ in range(8):
-            register = register >> 1 ^ (polynomial if register & 1 else 0)
+        register = register >> 8 ^ table[(register ^ byte) & 0xFF]
     return register
+
+
+@functools.cache
+def remainders(polynomial: int) -> list[int]:
+    """What each byte leaves, bit by bit."""
+    table = list(range(256))
+    for _ in range(8):
+        table = [one >> 1 ^ (polynomial if one & 1 else 0) for one in table]
+    return table
 
 
 def frame(data: bytes, *, session: int = 0, sequence: int = 0, is_ack: bool = False) -> bytes:
