@@ -2,7 +2,8 @@
 
 Slow is a test function that the list beside this file names (`nox -s slow` measures and writes
 it), that is marked so, or that keeps real time, on a pseudo-terminal or in a browser, and is not
-marked `smoke`. `nox` leaves the slow ones out; `nox -s full` runs them.
+marked `smoke`. `nox` leaves the slow ones out; `nox -s full` runs them. Of a listed function with
+many cases it runs a few all the same, so that every change meets what the function asserts.
 
 The cost is time of the processor, children included, over all cases of a function. The time on the
 clock is the machine's, and others may be using it: what a function waits besides makes it slow in
@@ -31,11 +32,13 @@ from zlib import crc32
 import pytest
 
 LIST = Path(__file__).with_name("slow.txt")
-LIMIT_S = 1.5
+LIMIT_S = 1.2
 """A run fails when all cases of a function that is not slow take longer."""
 MARKED_S = 0.7
 """The list names those that take longer than this: what is left between the two is for chance. The
 same flight was seen to take 0.69 and 1.12 s."""
+SAMPLE_S = 0.25
+"""So much of a listed function runs all the same, if it has cases so cheap."""
 WAITS_S = 2.0
 """So long they may wait besides, on the quiet machine on which the list is written."""
 QUIET = 0.25
@@ -72,14 +75,26 @@ def runs_in_real_time(item: pytest.Item) -> bool:
 
 @pytest.hookimpl(tryfirst=True)  # before `-m` selects
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    named = slow()
+    named, cases = slow(), defaultdict[str, list[pytest.Item]](list)
     for item in items:
         for folder in ("browser", "interop"):
             if item.nodeid.startswith(f"tests/{folder}/"):
                 item.add_marker(folder)
-        is_left_out = keeps_real_time(item) and not item.get_closest_marker("smoke")
-        if is_left_out or function_of(item.nodeid) in named:
+        if keeps_real_time(item) and not item.get_closest_marker("smoke"):
             item.add_marker("slow")
+        elif (function := function_of(item.nodeid)) in named:
+            cases[function].append(item)
+    for function, found in cases.items():
+        runs = set(sample(found, named[function]))
+        for item in found:
+            if item not in runs:
+                item.add_marker("slow")
+
+
+def sample(cases: list[pytest.Item], cost: float) -> list[pytest.Item]:
+    """Cases of a listed function that run all the same, from all over it; cost of all, s."""
+    few = int(len(cases) * SAMPLE_S / cost) if cost > MARKED_S else 0  # else it waits
+    return [cases[number * len(cases) // few] for number in range(few)]
 
 
 def work() -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import subprocess
 import sys
 import time
@@ -86,6 +87,19 @@ def test_what_keeps_real_time_is_left_out_but_for_smoke_tests(tmp_path: Path) ->
     both = "@pytest.mark.pty\ndef test_a(): pass\n@pytest.mark.pty\n@pytest.mark.smoke\n"
     _, told = outcome(tmp_path, f"{both}def test_b(): pass\ndef test_c(): pass\n", "-m", "not slow")
     assert "2 passed, 1 deselected" in told
+
+
+@pytest.mark.parametrize(
+    ("cost", "runs"), [(2.0, [0, 8, 16, 24, 32]), (10.0, [0]), (11.0, []), (0.6, [])]
+)
+def test_some_cheap_cases_of_a_listed_function_run_all_the_same(
+    tmp_path: Path, cost: float, runs: list[int]
+) -> None:
+    """40 cases of 50 ms: five of them. One of 0.25 s runs, none that is dearer, none that waits."""
+    listed = f"speeds.slow = lambda: {{'test_it.py::test_it': {cost}}}\n"
+    cases = "@pytest.mark.parametrize('number', range(40))\ndef test_it(number): pass\n"
+    _, told = outcome(tmp_path, listed + cases, "-m", "not slow", "-vv")
+    assert [int(one) for one in re.findall(r"test_it\[(\d+)\] PASSED", told)] == runs
 
 
 # A machine that stands still is stood in for: none does when it is asked to.
