@@ -7,30 +7,41 @@ of its own, and telemetry goes to those alone, and to addresses that the setting
 from __future__ import annotations
 
 import asyncio
+import hashlib
+import json
 import socket
 import struct
 import time
 from collections.abc import AsyncIterator, Callable, Iterable, Mapping
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 from urllib.parse import urlsplit
+from zlib import crc32
 
 from m100link.apps.agent.background import is_set_within
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.control_session import ControlSession
 from m100link.apps.mavlink.order_executor import OrderExecutor
 from m100link.apps.mavlink.translator.codec import (
+    LAST_SIGNATURE,
     MOST_PEERS,
+    NEW_WITHIN,
     Address,
     MavlinkMessage,
     MessageReader,
     PacketSigner,
     Peer,
+    Sender,
     ending_command,
     write_frame,
 )
 from m100link.apps.mavlink.translator.numbers import AUTOPILOT_PX4
 from m100link.apps.mavlink.translator.vehicle import MavlinkVehicle
 from m100link.errors import UsageError
+from m100link.errors.texts import read_json
+from m100link.link.keyfile import replace_file
 
 STEP_S = 0.02  # seconds between two steps: of setpoints, and of telemetry that is due
 
@@ -374,3 +385,122 @@ async def serving(
         yield transport.sendto
     finally:
         transport.close()
+
+
+# -- what was signed and taken, kept on disk: what is recorded now is not obeyed after a restart ---
+# The specification has the time of signatures kept, and started with at the next start. That alone
+# lets a minute pass in which what was recorded is taken again, and on a computer without a clock of
+# its own more. So the newest time of each sender is kept too, a little ahead of what was taken: it
+# holds even if this process is killed before it is written again.
+
+
+AHEAD = 2_000_00  # how far ahead times are kept while it runs, in 10 microseconds: 2 s
+_LONGEST_FILE = 65536
+_PARTS = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Snapshot:
+    sent: int  # newest time that was signed or taken
+    newest: dict[Sender, int]  # newest time of each sender; what is not later is not taken
+
+
+class SignatureMemory:
+    def __init__(self, folder: Path, signer: PacketSigner) -> None:
+        self._signer = signer
+        named = hashlib.sha256(b"m100link MAVLink signatures" + signer.key).hexdigest()[:16]
+        # The file. Its name tells which key it belongs to, and nothing of the key.
+        self.path = folder / f"signatures-{named}.json"
+        self._written: dict[Sender, int] = {}
+
+    def recall(self, now: int) -> str:
+        """Give the signer what was kept. Returns why that cannot be, empty where it can.
+
+        A file that cannot be read may hide any frame signed up to now: none of them is taken.
+        """
+        try:
+            found = _read(self.path)
+        except FileNotFoundError:
+            return ""
+        except (OSError, ValueError) as error:
+            self._signer.oldest = now
+            return f"{self.path} cannot be read: {error}"
+        self._signer.sent = max(self._signer.sent, found.sent)
+        for sender, when in found.newest.items():
+            self._signer.newest[sender] = max(self._signer.newest.get(sender, 0), when)
+        self._written = found.newest
+        return ""
+
+    def due(self) -> Snapshot | None:
+        """The times to write now, so that no frame that was taken is later; None for nothing.
+
+        A sender that does not stop is written for once in two seconds.
+        """
+        newest = self._newest()
+        if all(when <= self._written.get(sender, -1) for sender, when in newest.items()):
+            return None
+        return Snapshot(self._signer.sent, {one: when + AHEAD for one, when in newest.items()})
+
+    def last(self) -> Snapshot | None:
+        """The times to write at the end, as they are, so that nobody waits for them."""
+        newest = self._newest()
+        return Snapshot(self._signer.sent, newest) if newest else None
+
+    def _newest(self) -> dict[Sender, int]:
+        """Those that count: the reader refuses an older sender."""
+        since = self._signer.sent - NEW_WITHIN
+        return {one: when for one, when in self._signer.newest.items() if when > since}
+
+    def write(self, snapshot: Snapshot) -> None:
+        """Write it; takes as long as the disk takes. Raises OSError: it cannot be written."""
+        self.path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        newest, sent = dict(snapshot.newest), snapshot.sent
+        with suppress(OSError, ValueError):
+            # Another bridge with this key may keep its senders here.
+            kept = _read(self.path)
+            sent = max(sent, kept.sent)
+            for sender, when in kept.newest.items():
+                is_ours = sender in newest and when == self._written.get(sender)
+                if not is_ours and when > sent - NEW_WITHIN:
+                    newest[sender] = max(when, newest.get(sender, 0))
+        stamps = {".".join(map(str, one)): when for one, when in newest.items()}
+        stored = {"sent": sent, "newest": stamps, "crc32": _checksum(sent, stamps)}
+        replace_file(self.path, json.dumps(stored).encode())
+        self._written = newest
+
+
+def _checksum(sent: object, newest: dict[str, Any]) -> int:
+    return crc32(json.dumps([sent, newest]).encode())
+
+
+def _read(path: Path) -> Snapshot:
+    """The snapshot in a file.
+
+    Raises OSError, ValueError: it cannot be read, or is not one of these.
+    """
+    with path.open("rb") as file:
+        data = file.read(_LONGEST_FILE + 1)
+    if len(data) > _LONGEST_FILE:
+        raise ValueError("it is too long")
+    stored: Any = read_json(data)
+    if not (isinstance(stored, dict) and isinstance(stored.get("newest"), dict)):
+        raise ValueError("it is not a memory of signatures")
+    # A version before this one wrote no checksum; under any other name it is damaged.
+    checksum = _checksum(stored.get("sent"), stored["newest"])
+    if stored.keys() - {"sent", "newest"} and stored != stored | {"crc32": checksum}:
+        raise ValueError("its checksum is wrong")
+    if stored.keys() - {"sent", "newest", "crc32"}:
+        raise ValueError("it holds what is not known")
+    newest: dict[Sender, int] = {}
+    for name, when in stored["newest"].items():
+        parts = [int(part) for part in str(name).split(".")]
+        if len(parts) != _PARTS:
+            raise ValueError(f"{name!r} is not a sender")
+        newest[parts[0], parts[1], parts[2]] = _time(when)
+    return Snapshot(_time(stored.get("sent")), newest)
+
+
+def _time(value: object) -> int:
+    if not isinstance(value, int) or not 0 <= value <= LAST_SIGNATURE + AHEAD:
+        raise ValueError(f"{value!r} is not a time")
+    return value

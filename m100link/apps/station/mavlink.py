@@ -9,8 +9,15 @@ from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager
 
 from m100link.apps.agent.client import AgentClient
-from m100link.apps.mavlink.bridge import Bridge, read_address, serving, signature_time
-from m100link.apps.mavlink.translator.codec import Address, PacketSigner, SignatureMemory, Snapshot
+from m100link.apps.mavlink.bridge import (
+    Bridge,
+    SignatureMemory,
+    Snapshot,
+    read_address,
+    serving,
+    signature_time,
+)
+from m100link.apps.mavlink.translator.codec import Address, PacketSigner
 from m100link.apps.mavlink.translator.numbers import AUTOPILOT_GENERIC, AUTOPILOT_PX4
 from m100link.apps.station.config import Settings
 from m100link.apps.station.listeners import Fronts, beside, bound

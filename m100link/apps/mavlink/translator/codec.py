@@ -8,24 +8,17 @@ understands.
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import hmac
-import json
-import os
 import re
-import tempfile
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from struct import Struct
 from typing import Any, NamedTuple
-from zlib import crc32
 
 import crcmod
 
 from m100link.apps.mavlink.translator.numbers import MavCommand
-from m100link.errors.texts import read_json
 
 DEFINITIONS = """
 0 HEARTBEAT: u32 custom_mode, u8 type, u8 autopilot, u8 base_mode, u8 system_status, u8
@@ -472,128 +465,3 @@ def _frame_v1(data: bytes, at: int, *, is_signed: bool) -> _Found:
 def _is_whole(data: bytes, at: int, end: int, layout: MessageLayout) -> bool:
     (checksum,) = _CHECKSUM.unpack_from(data, end - 2)
     return bool(checksum == _crc(data[at + 1 : end - 2] + bytes([layout.crc_extra])))
-
-
-# -- what was signed and taken, kept on disk: what is recorded now is not obeyed after a restar ----
-# The specification has the time of signatures kept, and started with at the next start. That alone
-# lets a minute pass in which what was recorded is taken again, and on a computer without a clock of
-# its own more. So the newest time of each sender is kept too, a little ahead of what was taken: it
-# holds even if this process is killed before it is written again.
-
-
-AHEAD = 2_000_00  # how far ahead times are kept while it runs, in 10 microseconds: 2 s
-_LONGEST = 65536
-_PARTS = 3
-
-
-@dataclass(frozen=True, slots=True)
-class Snapshot:
-    sent: int  # newest time that was signed or taken
-    newest: dict[Sender, int]  # newest time of each sender; what is not later is not taken
-
-
-class SignatureMemory:
-    def __init__(self, folder: Path, signer: PacketSigner) -> None:
-        self._signer = signer
-        named = hashlib.sha256(b"m100link MAVLink signatures" + signer.key).hexdigest()[:16]
-        # The file. Its name tells which key it belongs to, and nothing of the key.
-        self.path = folder / f"signatures-{named}.json"
-        self._written: dict[Sender, int] = {}
-
-    def recall(self, now: int) -> str:
-        """Give the signer what was kept. Returns why that cannot be, empty where it can.
-
-        A file that cannot be read may hide any frame signed up to now: none of them is taken.
-        """
-        try:
-            found = _read(self.path)
-        except FileNotFoundError:
-            return ""
-        except (OSError, ValueError) as error:
-            self._signer.oldest = now
-            return f"{self.path} cannot be read: {error}"
-        self._signer.sent = max(self._signer.sent, found.sent)
-        for sender, when in found.newest.items():
-            self._signer.newest[sender] = max(self._signer.newest.get(sender, 0), when)
-        self._written = found.newest
-        return ""
-
-    def due(self) -> Snapshot | None:
-        """The times to write now, so that no frame that was taken is later; None for nothing.
-
-        A sender that does not stop is written for once in two seconds.
-        """
-        newest = self._newest()
-        if all(when <= self._written.get(sender, -1) for sender, when in newest.items()):
-            return None
-        return Snapshot(self._signer.sent, {one: when + AHEAD for one, when in newest.items()})
-
-    def last(self) -> Snapshot | None:
-        """The times to write at the end, as they are, so that nobody waits for them."""
-        newest = self._newest()
-        return Snapshot(self._signer.sent, newest) if newest else None
-
-    def _newest(self) -> dict[Sender, int]:
-        """Those that count: the reader refuses an older sender."""
-        since = self._signer.sent - NEW_WITHIN
-        return {one: when for one, when in self._signer.newest.items() if when > since}
-
-    def write(self, snapshot: Snapshot) -> None:
-        """Write it; takes as long as the disk takes. Raises OSError: it cannot be written."""
-        self.path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-        newest, sent = dict(snapshot.newest), snapshot.sent
-        with contextlib.suppress(OSError, ValueError):
-            # Another bridge with this key may keep its senders here.
-            kept = _read(self.path)
-            sent = max(sent, kept.sent)
-            for sender, when in kept.newest.items():
-                is_ours = sender in newest and when == self._written.get(sender)
-                if not is_ours and when > sent - NEW_WITHIN:
-                    newest[sender] = max(when, newest.get(sender, 0))
-        stamps = {".".join(map(str, one)): when for one, when in newest.items()}
-        handle, name = tempfile.mkstemp(dir=self.path.parent, prefix=self.path.name)
-        try:
-            with os.fdopen(handle, "w", encoding="ascii") as file:
-                json.dump({"sent": sent, "newest": stamps, "crc32": _checksum(sent, stamps)}, file)
-            Path(name).replace(self.path)
-        except BaseException:
-            Path(name).unlink(missing_ok=True)
-            raise
-        self._written = newest
-
-
-def _checksum(sent: object, newest: dict[str, Any]) -> int:
-    return crc32(json.dumps([sent, newest]).encode())
-
-
-def _read(path: Path) -> Snapshot:
-    """The snapshot in a file.
-
-    Raises OSError, ValueError: it cannot be read, or is not one of these.
-    """
-    with path.open("rb") as file:
-        data = file.read(_LONGEST + 1)
-    if len(data) > _LONGEST:
-        raise ValueError("it is too long")
-    stored: Any = read_json(data)
-    if not (isinstance(stored, dict) and isinstance(stored.get("newest"), dict)):
-        raise ValueError("it is not a memory of signatures")
-    # A version before this one wrote no checksum; under any other name it is damaged.
-    checksum = _checksum(stored.get("sent"), stored["newest"])
-    if stored.keys() - {"sent", "newest"} and stored != stored | {"crc32": checksum}:
-        raise ValueError("its checksum is wrong")
-    if stored.keys() - {"sent", "newest", "crc32"}:
-        raise ValueError("it holds what is not known")
-    newest: dict[Sender, int] = {}
-    for name, when in stored["newest"].items():
-        parts = [int(part) for part in str(name).split(".")]
-        if len(parts) != _PARTS:
-            raise ValueError(f"{name!r} is not a sender")
-        newest[parts[0], parts[1], parts[2]] = _time(when)
-    return Snapshot(_time(stored.get("sent")), newest)
-
-
-def _time(value: object) -> int:
-    if not isinstance(value, int) or not 0 <= value <= LAST_SIGNATURE + AHEAD:
-        raise ValueError(f"{value!r} is not a time")
-    return value

@@ -11,16 +11,15 @@ from typing import Any
 
 import pytest
 
+from m100link.apps.mavlink.bridge import AHEAD, SignatureMemory
 from m100link.apps.mavlink.translator import codec
 from m100link.apps.mavlink.translator.codec import (
-    AHEAD,
     LAST_SIGNATURE,
     LAYOUTS,
     NEW_WITHIN,
     MavlinkMessage,
     MessageReader,
     PacketSigner,
-    SignatureMemory,
     write_frame,
 )
 from m100link.apps.mavlink.translator.vehicle import MavlinkVehicle
