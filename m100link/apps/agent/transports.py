@@ -44,7 +44,7 @@ class Channel(Protocol):
         """Close it, and send the other end the reason. May be called any number of times."""
 
 
-class ReceivingEnd:
+class ChannelEnd:
     """The side of an end at which messages come: an error of their taker is logged, and no more.
 
     As with a socket, a failure at one end does not reach the other.
@@ -70,7 +70,7 @@ class ReceivingEnd:
 _MAX_WAITING = 1000
 
 
-class MemoryChannel(ReceivingEnd):
+class MemoryChannel(ChannelEnd):
     """One end; see :class:`m100link.apps.agent.transports.Channel`.
 
     Args:
@@ -135,7 +135,7 @@ _LENGTH = struct.Struct("<I")
 _CREDENTIALS = struct.Struct("3i")  # struct ucred: process, user, group
 
 
-class UnixChannel(ReceivingEnd, asyncio.BufferedProtocol):
+class UnixChannel(ChannelEnd, asyncio.BufferedProtocol):
     """One end; see :class:`m100link.apps.agent.transports.Channel`.
 
     Args:

@@ -24,7 +24,7 @@ from m100link.apps.agent.lease import (
     LeaseRefused,
     TakeOver,
 )
-from m100link.apps.agent.transports import ReceivingEnd
+from m100link.apps.agent.transports import ChannelEnd
 from m100link.apps.bus.network import Held
 from m100link.apps.fleet.asking import Asker
 from m100link.apps.fleet.payloads import OrderReply, pack_steer, unpack_message
@@ -62,7 +62,7 @@ async def reach(asker: Callable[[str], Asker]) -> FleetChannel:
     return channel
 
 
-class FleetChannel(ReceivingEnd):
+class FleetChannel(ChannelEnd):
     """A front's end; see :class:`m100link.apps.agent.transports.Channel`.
 
     A lease that was granted here counts as lost when nothing that the agent says shows it in force
