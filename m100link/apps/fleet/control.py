@@ -12,6 +12,7 @@ from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager
 from typing import Literal, Self
 
+from m100link import errors
 from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.control_session import ControlSession
@@ -22,14 +23,6 @@ from m100link.apps.fleet.asking import STEP_S, Asker
 from m100link.apps.fleet.carrier import FleetChannel
 from m100link.apps.fleet.missions.flight import FleetMission, MissionOrders
 from m100link.apps.fleet.payloads import OrderReply
-from m100link.errors import (
-    FleetError,
-    GuardRefused,
-    M100Error,
-    OutcomeUnknown,
-    StaleLease,
-    UsageError,
-)
 from m100link.missions.plan import WaypointPlan
 from m100link.protocol.setpoint import Setpoint
 
@@ -48,7 +41,9 @@ class FleetControl:
         take_over: bool = False,
     ) -> None:
         if stop not in ("hover", "land"):
-            raise UsageError(f"there is no stop action {stop!r}", remedy="use 'hover' or 'land'")
+            raise errors.UsageError(
+                f"there is no stop action {stop!r}", remedy="use 'hover' or 'land'"
+            )
         self._asker = asker
         self._name = name
         self._stop = stop
@@ -60,8 +55,8 @@ class FleetControl:
         self._owner: asyncio.Task[object] | None = None  # who is in the block, and not leaving it
         self._cancelled = 0  # how often others had cancelled him before
         self._has_entered = False
-        self._lost: M100Error | None = None
-        self._refused: M100Error | None = None
+        self._lost: errors.M100Error | None = None
+        self._refused: errors.M100Error | None = None
 
     # -- the block -------------------------------------------------------------------------------
 
@@ -142,19 +137,19 @@ class FleetControl:
             self._lost = self._channel.lost or self._silent()
             self._owner.cancel()
 
-    def _steer_refused(self, _fence: int, error: M100Error) -> None:
+    def _steer_refused(self, _fence: int, error: errors.M100Error) -> None:
         self._refused = error
 
-    def _silent(self) -> M100Error:
+    def _silent(self) -> errors.M100Error:
         """Why the lease is over when no renewal was answered."""
         if not self._has_entered:  # nothing was asked for under it that moves anything
-            return StaleLease(
+            return errors.StaleLease(
                 f"{self._keys.name} answered no renewal within {LEASE_LIFETIME:g} s: the lease "
                 "cannot be held",
                 cause="the round trip is longer than a lease lasts, or the link is cut",
                 remedy="land and stop need no lease",
             )
-        return OutcomeUnknown(
+        return errors.OutcomeUnknown(
             f"{self._keys.name} gave no answer for {LEASE_LIFETIME:g} s: the lease has ended",
             remedy="the aircraft hovers, then does what --lost of its agent says",
         )
@@ -163,7 +158,9 @@ class FleetControl:
         """The lease; StaleLease where it has ended."""
         lease = None if self._session is None else self._session.lease
         if lease is None:
-            raise StaleLease(f"{self._name} has no control of {self._keys.name}") from self._lost
+            raise errors.StaleLease(
+                f"{self._name} has no control of {self._keys.name}"
+            ) from self._lost
         return lease
 
     # -- orders ----------------------------------------------------------------------------------
@@ -270,7 +267,7 @@ class FleetControl:
         lease = self._held()
         refused, self._refused = self._refused, None
         if refused is not None:
-            if isinstance(refused, GuardRefused) and refused.guard == "stopped":
+            if isinstance(refused, errors.GuardRefused) and refused.guard == "stopped":
                 self._asker.hear_of_stop()
             raise refused
         self._channel.fly(lease, setpoint, lifetime, begins=begins)
@@ -288,14 +285,14 @@ class FleetControl:
         hold = FleetHold(setpoint)
         self._send(setpoint, SETPOINT_LIFETIME, begins=True)
         owner = asyncio.current_task()
-        failed: list[M100Error] = []
+        failed: list[errors.M100Error] = []
 
         async def keep() -> None:
             try:
                 while True:
                     await asyncio.sleep(1 / rate_hz)
                     self._send(hold.setpoint, SETPOINT_LIFETIME, begins=False)
-            except M100Error as error:
+            except errors.M100Error as error:
                 if self._lost is None and owner is not None:  # else the block is ended already
                     failed.append(error)
                     owner.cancel()
@@ -320,7 +317,7 @@ class FleetControl:
         try:
             fence, token = self.proof
             await self._asker.ask(hover, fence=fence, token=token, patience=LEASE_LIFETIME)
-        except FleetError as error:
+        except errors.FleetError as error:
             _logger.warning("%s: the setpoint expires: %s", self._keys.name, error.seen)
 
 

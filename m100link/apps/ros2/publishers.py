@@ -16,18 +16,7 @@ from m100link.apps.ros2.topics import DJI_OUTPUTS, OUTPUTS, dji_makers
 from m100link.geodesy import LocalFrame
 from m100link.log.cdr import encode
 from m100link.log.ros2 import Messages, Stamp
-from m100link.protocol.records import (
-    AngularVelocity,
-    Attitude,
-    Battery,
-    FlightStatus,
-    Gimbal,
-    Magnetometer,
-    Position,
-    RemoteControl,
-    Time,
-    Velocity,
-)
+from m100link.protocol import records
 from m100link.telemetry.device_clock import DeviceClock
 from m100link.telemetry.integrity import has_fix
 from m100link.telemetry.sample import Sample
@@ -46,7 +35,9 @@ _LEVELS = {"info": 20, "warning": 30, "error": 40}
 _UNKNOWN = 255
 _UNREAD: Any = object()
 _HERE = (0.0, 0.0, 0.0)
-_EAST = Attitude(math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))  # turned by nothing from east, north, up
+_EAST = records.Attitude(
+    math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5)
+)  # turned by nothing from east, north, up
 
 
 class Places:
@@ -55,7 +46,7 @@ class Places:
     def __init__(self) -> None:
         self.origin: LocalFrame | None = None  # that place; None before
 
-    def local(self, position: Position) -> Place | None:
+    def local(self, position: records.Position) -> Place | None:
         """East, north, up in metres; up from the take-off point. None before the first fix."""
         if not position.is_possible:
             return None
@@ -112,14 +103,14 @@ class MessageMaker:
         self._looks_at = agent.now
         makers: dict[str, _Make] = {
             "~/imu": self._imu,
-            "~/fix": _of(Position, self._messages.fix),
+            "~/fix": _of(records.Position, self._messages.fix),
             "~/odom": self._odometry,
             "~/pose": self._of_pose(self._messages.pose),
-            "~/velocity": _of(Velocity, self._messages.velocity),
-            "~/battery": _of(Battery, self._messages.battery),
-            "~/magnetic_field": _of(Magnetometer, self._messages.magnetometer),
-            "~/joy": _of(RemoteControl, self._messages.joy),
-            "~/gimbal": _of(Gimbal, self._messages.gimbal),
+            "~/velocity": _of(records.Velocity, self._messages.velocity),
+            "~/battery": _of(records.Battery, self._messages.battery),
+            "~/magnetic_field": _of(records.Magnetometer, self._messages.magnetometer),
+            "~/joy": _of(records.RemoteControl, self._messages.joy),
+            "~/gimbal": _of(records.Gimbal, self._messages.gimbal),
             "/tf": self._of_pose(self._messages.transform),
             "/clock": lambda _, stamp: encode("rosgraph_msgs/Clock", {"clock": _time(stamp)}),
         }
@@ -176,7 +167,10 @@ class MessageMaker:
         return self._agent.view.together(record) if found is None else found
 
     def _imu(self, sample: Sample, stamp: Stamp) -> bytes | None:
-        attitude, rates = self._read(Attitude, sample), self._read(AngularVelocity, sample)
+        attitude, rates = (
+            self._read(records.Attitude, sample),
+            self._read(records.AngularVelocity, sample),
+        )
         if attitude is None and rates is None:
             return None
         return self._messages.imu(stamp, attitude, rates, sample.acceleration)
@@ -184,23 +178,26 @@ class MessageMaker:
     def _place(self, sample: Sample) -> Place | None:
         """Where it is; three topics ask for the same package."""
         if self._placed is None or self._placed[0] is not sample:
-            position = self._near(Position, sample)
+            position = self._near(records.Position, sample)
             found = None if position is None else self.places.local(position)
             self._placed = sample, found
         return self._placed[1]
 
     def _odometry(self, sample: Sample, stamp: Stamp) -> bytes | None:
-        attitude, place = self._read(Attitude, sample), self._place(sample)
-        velocity, rates = self._near(Velocity, sample), self._near(AngularVelocity, sample)
+        attitude, place = self._read(records.Attitude, sample), self._place(sample)
+        velocity, rates = (
+            self._near(records.Velocity, sample),
+            self._near(records.AngularVelocity, sample),
+        )
         if attitude is None or place is None or velocity is None or rates is None:
             return None
         return self._messages.odometry(stamp, place, attitude, velocity, rates)
 
-    def _of_pose(self, make: Callable[[Stamp, Place, Attitude], bytes]) -> _Make:
+    def _of_pose(self, make: Callable[[Stamp, Place, records.Attitude], bytes]) -> _Make:
         """A message of a place and an attitude, where both are known."""
 
         def made(sample: Sample, stamp: Stamp) -> bytes | None:
-            attitude, place = self._read(Attitude, sample), self._place(sample)
+            attitude, place = self._read(records.Attitude, sample), self._place(sample)
             return None if attitude is None or place is None else make(stamp, place, attitude)
 
         return made
@@ -240,8 +237,8 @@ class MessageMaker:
 
     def _flight_status(self) -> dict[str, Any]:
         view = self._agent.view
-        status, switch = view.get(FlightStatus), view.switch
-        position, battery = view.get(Position), view.get(Battery)
+        status, switch = view.get(records.FlightStatus), view.switch
+        position, battery = view.get(records.Position), view.get(records.Battery)
         health = None if position is None else position.gps_health
         return {
             "phase": _UNKNOWN if status is None else status.status,
@@ -384,7 +381,7 @@ def _control(view: VehicleView) -> Status:
 
 
 def _battery(view: VehicleView) -> Status:
-    battery = view.get(Battery)
+    battery = view.get(records.Battery)
     if battery is None:
         return Status("battery", DiagnosticLevel.STALE, "unknown")
     values = {"percent": battery.percent}
@@ -421,7 +418,7 @@ class Stamps:
 
     def hear(self, sample: Sample) -> None:
         """Let the clock know of a package; each has to come by here."""
-        time = sample.get(Time)
+        time = sample.get(records.Time)
         if time is None:
             return
         tick_hz = sample.profile.tick_hz
@@ -434,7 +431,7 @@ class Stamps:
         return self.at(min(self._taken_at(sample), sample.received_at))
 
     def _taken_at(self, sample: Sample) -> float:
-        time, clock = sample.get(Time), self.clock
+        time, clock = sample.get(records.Time), self.clock
         if time is None or clock is None:
             return sample.received_at
         tick_hz = clock.tick_hz

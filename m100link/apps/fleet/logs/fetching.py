@@ -14,13 +14,7 @@ from pathlib import Path
 from m100link.apps.agent.background import ignore
 from m100link.apps.agent.messages import MessageError
 from m100link.apps.fleet.asking import PATIENCE_S, Asker, nobody_there, reason_of
-from m100link.apps.fleet.logs.words import (
-    LogEntry,
-    LogPart,
-    LogReply,
-    unpack_entries,
-    unpack_reply,
-)
+from m100link.apps.fleet.logs import words
 from m100link.apps.fleet.payloads import LogQuestion, Outcome, What, pack
 from m100link.errors import FleetError, M100Error, Unreachable, UsageError
 from m100link.log.folder import is_log_name
@@ -61,17 +55,17 @@ class LogFetcher:
         self._clock = asyncio.get_running_loop().time
         self._has_answered = False
 
-    async def logs(self) -> list[LogEntry]:
+    async def logs(self) -> list[words.LogEntry]:
         """See :meth:`m100link.apps.fleet.FleetAircraft.logs`."""
         _, data = await self._ask(LogQuestion(What.LIST))
-        return unpack_entries(data)
+        return words.unpack_entries(data)
 
     async def fetch(
         self, log: str = "", to: Path | str = "", progress: Progress | None = None
     ) -> Fetched:
         """See :meth:`m100link.apps.fleet.FleetAircraft.fetch_log`."""
         entry = await self._entry(log)
-        part = await _in_thread(LogPart, Path(to), f"{self._keys.name}-{entry.log}")
+        part = await _in_thread(words.LogPart, Path(to), f"{self._keys.name}-{entry.log}")
         try:
             await _in_thread(part.open, entry.size)
             return await self._fetch(entry, part, progress or ignore)
@@ -80,7 +74,7 @@ class LogFetcher:
         finally:
             part.close()  # at once: a cancelled task is cancelled at every wait
 
-    async def _entry(self, log: str) -> LogEntry:
+    async def _entry(self, log: str) -> words.LogEntry:
         if log and not is_log_name(log):
             raise UsageError(
                 f"{log!r} is no name of a log", remedy=f"m100link fleet log list {self._keys.name}"
@@ -100,7 +94,9 @@ class LogFetcher:
             )
         return found
 
-    async def _fetch(self, entry: LogEntry, part: LogPart, progress: Progress) -> Fetched:
+    async def _fetch(
+        self, entry: words.LogEntry, part: words.LogPart, progress: Progress
+    ) -> Fetched:
         name, size = self._keys.name, entry.size
         fetched = Fetched(name, entry.log, part.whole, size, 0, entry.is_written)
         if await _in_thread(part.whole.exists):
@@ -129,7 +125,7 @@ class LogFetcher:
                 )
             at = began_at = 0  # what was here from before is of something else
 
-    async def _same(self, entry: LogEntry, part: LogPart) -> int:
+    async def _same(self, entry: words.LogEntry, part: words.LogPart) -> int:
         """How many bytes of the log were fetched before."""
         have, digest = await _in_thread(part.whole_digest)
         if have > entry.size or await self._digest(entry.log, have) != digest:
@@ -153,7 +149,7 @@ class LogFetcher:
         _, digest = await self._ask(LogQuestion(What.DIGEST, log, 0, length))
         return digest
 
-    async def _ask(self, question: LogQuestion) -> tuple[LogReply, bytes]:
+    async def _ask(self, question: LogQuestion) -> tuple[words.LogReply, bytes]:
         """Ask until it is answered: nothing on board changes by it."""
         name = self._keys.name
         # An agent that has answered may come back, with the router or by a restart.
@@ -168,7 +164,7 @@ class LogFetcher:
             answers = await self._asker.bus.ask(self._keys.log, pack(order), timeout=_ANSWER_S)
             for answer in filter(self._asker.is_of_aircraft, answers):
                 try:
-                    reply, data = unpack_reply(answer.payload)
+                    reply, data = words.unpack_reply(answer.payload)
                 except MessageError as error:
                     unread = error
                     continue
@@ -195,7 +191,7 @@ class LogFetcher:
         )
 
 
-def _with_rest(error: M100Error, part: LogPart, size: int) -> M100Error:
+def _with_rest(error: M100Error, part: words.LogPart, size: int) -> M100Error:
     """The error, with what is here already."""
     again = error.again()
     if part.at:

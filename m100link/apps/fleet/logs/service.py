@@ -26,13 +26,7 @@ from m100link.apps.agent.messages import fault_of
 from m100link.apps.bus.network import Bus, Question
 from m100link.apps.fleet.agent import Verify, admit
 from m100link.apps.fleet.keys import Keys
-from m100link.apps.fleet.logs.words import (
-    LogEntry,
-    LogReply,
-    pack_entries,
-    pack_reply,
-    require_possible,
-)
+from m100link.apps.fleet.logs import words
 from m100link.apps.fleet.payloads import LogQuestion, OrderMessage, What, outcome_of, unpack
 from m100link.errors import M100Error, UsageError
 from m100link.errors.texts import read_path
@@ -131,15 +125,15 @@ class LogService:
             identity = order.id
             payload = await self._answered(order)
         except M100Error as error:
-            fault = LogReply(identity, self._keys.name, outcome_of(error), fault_of(error))
-            payload = pack_reply(fault)
+            fault = words.LogReply(identity, self._keys.name, outcome_of(error), fault_of(error))
+            payload = words.pack_reply(fault)
         finally:
             self._waiting -= 1
         question.answer(self._keys.log, payload)
 
     async def _answered(self, order: OrderMessage) -> bytes:
         question = admit(order, self._keys, LogQuestion, self._verify)
-        require_possible(question)
+        words.require_possible(question)
         return await self._doing[question.what](question, order)
 
     async def _may_go(self, size: int) -> float:
@@ -155,7 +149,7 @@ class LogService:
     async def _list(self, question: LogQuestion, order: OrderMessage) -> bytes:
         if again := await self._may_go(_LIST_COSTS):
             return self._reply(order, again_s=again)
-        return self._reply(order, pack_entries(await self._apart.do(self._directory.entries)))
+        return self._reply(order, words.pack_entries(await self._apart.do(self._directory.entries)))
 
     async def _piece(self, question: LogQuestion, order: OrderMessage) -> bytes:
         if again := await self._may_go(question.length):
@@ -185,7 +179,7 @@ class LogService:
         return self._reply(order, await task, size=question.length)
 
     def _reply(self, order: OrderMessage, data: bytes = b"", **fields: Any) -> bytes:
-        return pack_reply(LogReply(order.id, self._keys.name, **fields), data)
+        return words.pack_reply(words.LogReply(order.id, self._keys.name, **fields), data)
 
 
 # -- the folder of logs on board, as clients over the network see it -------------------------------
@@ -208,7 +202,7 @@ class LogDirectory:
     def __init__(self, folder: Path | None) -> None:
         self._folder = None if folder is None else read_path(folder)
 
-    def entries(self) -> list[LogEntry]:
+    def entries(self) -> list[words.LogEntry]:
         """The logs, the newest first."""
         found = []
         try:
@@ -221,10 +215,12 @@ class LogDirectory:
                     status = os.fstat(stream.fileno())
             except UsageError:
                 continue  # gone meanwhile, or none
-            found.append(LogEntry(name, status.st_size, status.st_mtime, self._is_written(name)))
+            found.append(
+                words.LogEntry(name, status.st_size, status.st_mtime, self._is_written(name))
+            )
         return sorted(found, key=lambda one: (one.at, one.log), reverse=True)
 
-    def piece(self, log: str, offset: int, length: int) -> tuple[bytes, LogEntry]:
+    def piece(self, log: str, offset: int, length: int) -> tuple[bytes, words.LogEntry]:
         """Some bytes of a log, fewer at its end; and what it is now."""
         with self._opened(log) as stream:
             # First: what is written after that may be in the bytes, and is only not promised.
@@ -234,7 +230,7 @@ class LogDirectory:
                 data = os.pread(stream.fileno(), length, offset)
             except OSError as error:
                 raise _no_log(log, error.strerror or f"{error}") from error
-        return data, LogEntry(log, status.st_size, status.st_mtime, is_written)
+        return data, words.LogEntry(log, status.st_size, status.st_mtime, is_written)
 
     def digest(self, log: str, length: int, is_wanted: Callable[[], bool]) -> bytes:
         """SHA-256 of its first bytes."""

@@ -18,19 +18,9 @@ from typing import Any
 
 from m100link.apps.agent.messages import MessageError
 from m100link.apps.bus.network import Bus
+from m100link.apps.fleet import payloads
 from m100link.apps.fleet.asking import Asker, Sign, unsigned
 from m100link.apps.fleet.keys import Keys
-from m100link.apps.fleet.payloads import (
-    AboutShow,
-    AskShow,
-    LeaveShow,
-    LoadTrack,
-    OrderReply,
-    SendTrack,
-    ShowStage,
-    StartShow,
-    TakePlace,
-)
 from m100link.apps.fleet.show.plan.document import SKEW_S, Show
 from m100link.apps.fleet.show.plan.steering import ShowRefused, Why
 from m100link.apps.fleet.show.plan.track import BadShow, TimedTrack
@@ -54,7 +44,7 @@ class Part:
     """The state of one aircraft in a show."""
 
     name: str  #: the aircraft
-    stage: ShowStage | None  #: its stage; None when unknown, because it does not answer
+    stage: payloads.ShowStage | None  #: its stage; None when unknown, because it does not answer
     digest: str = ""  #: digest of its track
     farthest_m: float = 0.0  #: greatest distance from its track, by its own telemetry
     why: str = ""  #: why it left, or does not report
@@ -135,7 +125,7 @@ class Conductor:
     async def leave(self) -> None:
         """Let all of them leave, at any stage; does not wait for those that do not answer."""
         await asyncio.gather(
-            *(self._ask(track, LeaveShow(self._run)) for track in self._tracks.values()),
+            *(self._ask(track, payloads.LeaveShow(self._run)) for track in self._tracks.values()),
             return_exceptions=True,
         )
 
@@ -152,9 +142,9 @@ class Conductor:
     # -- one of them -----------------------------------------------------------------------------
 
     async def _look(self, track: TimedTrack) -> Part:
-        return await self._ask(track, AskShow(self._run))
+        return await self._ask(track, payloads.AskShow(self._run))
 
-    async def _ask(self, track: TimedTrack, asked: AboutShow) -> Part:
+    async def _ask(self, track: TimedTrack, asked: payloads.AboutShow) -> Part:
         """One question; each try is an order of its own, which the stage admits once."""
         asker = self._askers[track.name]
         for _ in range(_TRIES):
@@ -170,7 +160,9 @@ class Conductor:
             remedy="m100link fleet list; m100link fleet acl check",
         )
 
-    async def _do(self, track: TimedTrack, asked: AboutShow, *done: ShowStage) -> Part:
+    async def _do(
+        self, track: TimedTrack, asked: payloads.AboutShow, *done: payloads.ShowStage
+    ) -> Part:
         """An order; one that was done although its answer was lost is refused and yet done."""
         try:
             return await self._ask(track, asked)
@@ -186,9 +178,9 @@ class Conductor:
         await self._look(track)  # from then on each order says when it was made
         data = track.to_bytes()
         for at in range(0, len(data), _PIECE):
-            await self._ask(track, SendTrack(self._run, at, data[at : at + _PIECE]))
+            await self._ask(track, payloads.SendTrack(self._run, at, data[at : at + _PIECE]))
         how = (self._leave, self._digest, self._least, len(self._tracks) - 1)
-        part = await self._ask(track, LoadTrack(self._run, *how))
+        part = await self._ask(track, payloads.LoadTrack(self._run, *how))
         if part.digest != track.digest:
             raise BadShow(
                 f"{track.name} has another track than was sent to it",
@@ -197,11 +189,16 @@ class Conductor:
             )
 
     async def _place(self, track: TimedTrack) -> None:
-        await self._do(track, TakePlace(self._run), ShowStage.PLACING, ShowStage.READY)
+        await self._do(
+            track,
+            payloads.TakePlace(self._run),
+            payloads.ShowStage.PLACING,
+            payloads.ShowStage.READY,
+        )
         began = self._clock()
-        while (part := await self._look(track)).stage is not ShowStage.READY:
+        while (part := await self._look(track)).stage is not payloads.ShowStage.READY:
             took = self._clock() - began
-            if part.stage is not ShowStage.PLACING or took > _PLACING_S:
+            if part.stage is not payloads.ShowStage.PLACING or took > _PLACING_S:
                 raise ShowRefused(
                     f"{track.name} did not take its place: {part.why or f'not in {took:.0f} s'}",
                     why=Why.PLACE,
@@ -225,8 +222,8 @@ class Conductor:
                 measured=bound,
                 limit=SKEW_S,
             )
-        start = StartShow(self._run, track.digest, start_at + found.seconds, found.bound)
-        await self._do(track, start, ShowStage.FLYING)
+        start = payloads.StartShow(self._run, track.digest, start_at + found.seconds, found.bound)
+        await self._do(track, start, payloads.ShowStage.FLYING)
 
     async def _watch(self, track: TimedTrack) -> Part:
         """Until it has flown its track, has left, or is silent."""
@@ -244,17 +241,17 @@ class Conductor:
                     return Part(track.name, None, why=why)
                 await asyncio.sleep(_LOOK_S)
                 continue
-            if part.stage is ShowStage.FLOWN:
+            if part.stage is payloads.ShowStage.FLOWN:
                 self._tell(f"{track.name} has flown its track")
                 return part
-            if part.stage is not ShowStage.FLYING:
+            if part.stage is not payloads.ShowStage.FLYING:
                 why = part.why and f": {part.why}"  # none where it was ordered to leave
                 self._tell(f"{track.name} left{why}; the others fly on")
                 return part
             await asyncio.sleep(_LOOK_S)
 
 
-def _part(reply: OrderReply) -> Part:
+def _part(reply: payloads.OrderReply) -> Part:
     show = reply.show
     if show is None:
         raise MessageError(f"{reply.name} does not report its stage in the show")

@@ -13,13 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from m100link.apps.agent.background import TokenBucket
-from m100link.apps.mavlink.translator.codec import (
-    LAYOUTS,
-    MOST_PEERS,
-    Address,
-    MavlinkMessage,
-    Peer,
-)
+from m100link.apps.mavlink.translator import codec
 from m100link.apps.mavlink.translator.numbers import (
     Estimator,
     LandedState,
@@ -318,9 +312,11 @@ STREAMS: Mapping[str, Stream] = {
 """By the name of the message."""
 
 
-if undefined := STREAMS.keys() - LAYOUTS.keys():
+if undefined := STREAMS.keys() - codec.LAYOUTS.keys():
     raise LookupError(f"DEFINITIONS has no row for {', '.join(sorted(undefined))}")
-NUMBERS = {LAYOUTS[name].number: name for name in STREAMS}  # names by the number of the message
+NUMBERS = {
+    codec.LAYOUTS[name].number: name for name in STREAMS
+}  # names by the number of the message
 
 
 # -- who is sent which message of telemetry, and how often: each peer what it asked for ------------
@@ -330,31 +326,31 @@ NUMBERS = {LAYOUTS[name].number: name for name in STREAMS}  # names by the numbe
 
 MOST_HZ = 50.0  # how often a message is sent at most; who asks for more gets this
 
-_MOST_ASKED = 2 * MOST_PEERS  # peers whose rates are known; a silent one may come back
+_MOST_ASKED = 2 * codec.MOST_PEERS  # peers whose rates are known; a silent one may come back
 _ALL = 0  # the group of REQUEST_DATA_STREAM that has all others
 _USUAL = {name: stream.hz for name, stream in STREAMS.items()}
 
-Audience = Mapping[Address, tuple[Peer, ...]]
+Audience = Mapping[codec.Address, tuple[codec.Peer, ...]]
 """Where telemetry goes, and which peers are there; none are where nobody was heard yet."""
 
 
 class Rates:
     def __init__(self, world: VehicleState) -> None:
         self._world = world
-        self._asked: dict[Peer, dict[str, float]] = {}
+        self._asked: dict[codec.Peer, dict[str, float]] = {}
         # The rates of each address: made anew, once a step, when rates or addresses changed.
         self.audience: Audience | None = None
         self.due_at = -math.inf  # when something is due for that audience
-        self._present: set[Peer] = set()
-        self._tables: dict[Address, dict[str, float]] = {}
+        self._present: set[codec.Peer] = set()
+        self._tables: dict[codec.Address, dict[str, float]] = {}
         self.is_often = False  # whether anything is sent more often than usual telemetry ever is
-        self._due: dict[Address, dict[str, float]] = {}
+        self._due: dict[codec.Address, dict[str, float]] = {}
 
-    def hz(self, name: str, peer: Peer) -> float:
+    def hz(self, name: str, peer: codec.Peer) -> float:
         """How often a peer is sent a message."""
         return self._asked.get(peer, {}).get(name, _USUAL[name])
 
-    def set_hz(self, name: str, hz: float | None, peer: Peer) -> None:
+    def set_hz(self, name: str, hz: float | None, peer: codec.Peer) -> None:
         """Send it to a peer so often; None as often as to everybody."""
         asked = self._asked.pop(peer, {})
         asked.pop(name, None)
@@ -366,7 +362,7 @@ class Rates:
         self._due.get(peer.address, {}).pop(name, None)  # at once, then at its rate
         self.audience = None
 
-    def set_group(self, group: int, hz: float, peer: Peer) -> None:
+    def set_group(self, group: int, hz: float, peer: codec.Peer) -> None:
         """Send the messages of a group of REQUEST_DATA_STREAM so often."""
         for name, stream in STREAMS.items():
             if group in (_ALL, stream.group):
@@ -394,17 +390,17 @@ class Rates:
             for address, table in self._tables.items()
         }
 
-    def message(self, name: str, now: float) -> MavlinkMessage | None:
+    def message(self, name: str, now: float) -> codec.MavlinkMessage | None:
         fields = STREAMS[name].fields(self._world, now)
-        return None if fields is None else MavlinkMessage(name, fields)
+        return None if fields is None else codec.MavlinkMessage(name, fields)
 
     def due(
         self, now: float, audience: Audience
-    ) -> Iterator[tuple[MavlinkMessage, tuple[Address, ...]]]:
+    ) -> Iterator[tuple[codec.MavlinkMessage, tuple[codec.Address, ...]]]:
         """Those whose time has come, and where they go."""
         if audience != self.audience:
             self._arrange(audience, now)
-        wanted: dict[str, list[Address]] = {}
+        wanted: dict[str, list[codec.Address]] = {}
         for address, table in self._tables.items():
             due = self._due[address]
             for name, hz in table.items():
@@ -448,7 +444,7 @@ class Texts:
     def tell(self, severity: Severity, text: str) -> None:
         self.waiting.append((severity, text))
 
-    def due(self, now: float) -> Iterator[MavlinkMessage]:
+    def due(self, now: float) -> Iterator[codec.MavlinkMessage]:
         """The messages; a long text comes in parts of 50 characters, four at most."""
         self._reported = {text: at for text, at in self._reported.items() if now - at < _AGAIN_S}
         while self.waiting:
@@ -461,15 +457,15 @@ class Texts:
             self._reported[text] = now
             yield from self._parts(severity, text)
 
-    def _parts(self, severity: Severity, text: str) -> Iterator[MavlinkMessage]:
+    def _parts(self, severity: Severity, text: str) -> Iterator[codec.MavlinkMessage]:
         plain = " ".join(text.encode("ascii", "replace").decode().split())
         if len(plain) <= _SIZE:
-            yield MavlinkMessage("STATUSTEXT", {"severity": severity, "text": plain})
+            yield codec.MavlinkMessage("STATUSTEXT", {"severity": severity, "text": plain})
             return
         self._count = self._count % 0xFFFF + 1  # 0 is a text in one part
         for number in range(_MOST_PARTS):
             part = plain[number * _SIZE : (number + 1) * _SIZE]
             fields = {"severity": severity, "text": part, "id": self._count, "chunk_seq": number}
-            yield MavlinkMessage("STATUSTEXT", fields)
+            yield codec.MavlinkMessage("STATUSTEXT", fields)
             if len(part) < _SIZE:
                 return  # a part that is not full is the last one

@@ -11,6 +11,7 @@ from m100link.apps.agent.control_session import ControlSession
 from m100link.apps.agent.messages import Event, EventTopic
 from m100link.apps.agent.orders import FlyAround, FlyTo
 from m100link.apps.mavlink.order_executor import MissionFlights
+from m100link.apps.mavlink.translator import telemetry
 from m100link.apps.mavlink.translator.codec import LAYOUTS, Address, MavlinkMessage, Peer
 from m100link.apps.mavlink.translator.commands import Asked, CommandProtocol, read_command
 from m100link.apps.mavlink.translator.flight_mode_manager import FlightModeManager
@@ -25,13 +26,6 @@ from m100link.apps.mavlink.translator.numbers import (
 )
 from m100link.apps.mavlink.translator.offboard import Manual, Offboard
 from m100link.apps.mavlink.translator.parameters import ParameterProtocol
-from m100link.apps.mavlink.translator.telemetry import (
-    NUMBERS,
-    Audience,
-    Rates,
-    Texts,
-    severity_of,
-)
 from m100link.apps.mavlink.translator.vehicle_state import (
     FlightSource,
     Mode,
@@ -76,7 +70,7 @@ class MavlinkVehicle:
         # Messages to send: to which peer, to which addresses, or None for everybody.
         self.outbox: list[tuple[MavlinkMessage, Peer | tuple[Address, ...] | None]] = []
         self.world = VehicleState(known, session)  # what is known of the aircraft
-        self._texts = Texts()
+        self._texts = telemetry.Texts()
         self._parameters = ParameterProtocol(self.world, system)
         settings = self._parameters.values
         self._offboard = Offboard(self.world, settings)
@@ -88,7 +82,7 @@ class MavlinkVehicle:
         streams: dict[Mode, Offboard | Manual] = {Mode.OFFBOARD: self._offboard, **self._manual}
         self.manager = FlightModeManager(self.world, tell, streams)
         self.manager.on_armed = self._armed
-        self._rates = Rates(self.world)
+        self._rates = telemetry.Rates(self.world)
         self._commands = CommandProtocol(
             self.world,
             self.manager,
@@ -344,7 +338,7 @@ class MavlinkVehicle:
 
     def _request(self, number: int, parameter: float, peer: Peer, now: float) -> bool:
         """Send a message by its number; False where there is none."""
-        name = NUMBERS.get(number)
+        name = telemetry.NUMBERS.get(number)
         if name is not None:
             message = self._rates.message(name, now)
             if message is not None:
@@ -388,8 +382,8 @@ class MavlinkVehicle:
 
     def _interval(self, number: int, peer: Peer) -> MavlinkMessage:
         interval = 0  # of what is not there, by the definition; -1 of what nobody asked for
-        if number in NUMBERS:
-            hz = self._rates.hz(NUMBERS[number], peer)
+        if number in telemetry.NUMBERS:
+            hz = self._rates.hz(telemetry.NUMBERS[number], peer)
             interval = round(1e6 / hz) if hz > 0 else -1
         return MavlinkMessage("MESSAGE_INTERVAL", {"message_id": number, "interval_us": interval})
 
@@ -397,7 +391,7 @@ class MavlinkVehicle:
 
     def event(self, event: Event) -> None:
         """An event of the agent becomes a text for people."""
-        self._texts.tell(severity_of(event.level), event.text)
+        self._texts.tell(telemetry.severity_of(event.level), event.text)
         if event.topic in (EventTopic.STOPPED, EventTopic.HALTED):
             is_stop = event.topic is EventTopic.STOPPED
             self.manager.stopped("STOP was pressed" if is_stop else event.text)
@@ -405,7 +399,9 @@ class MavlinkVehicle:
     def tell(self, text: str) -> None:
         self._texts.tell(Severity.WARNING, text)
 
-    def advance(self, now: float, audience: Audience, lost: Callable[[Peer, float], bool]) -> None:
+    def advance(
+        self, now: float, audience: telemetry.Audience, lost: Callable[[Peer, float], bool]
+    ) -> None:
         """Let time pass: steer, and send what is due.
 
         ``now``: s. ``lost``: whether a peer is, at a time.
@@ -430,7 +426,7 @@ class MavlinkVehicle:
     def _heartbeat(self) -> MavlinkMessage:
         return heartbeat(self.world, self.manager.mode, self._autopilot)
 
-    def _tell_state(self, now: float, audience: Audience) -> None:
+    def _tell_state(self, now: float, audience: telemetry.Audience) -> None:
         beat = self._heartbeat()
         fields = tuple(beat.fields.values())
         if fields != self._beaten or now - self._beaten_at >= _HEARTBEAT_S:

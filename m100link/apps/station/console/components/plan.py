@@ -12,12 +12,7 @@ from typing import Any
 from nicegui import events, ui
 
 from m100link.apps.agent import orders
-from m100link.apps.station.console.components.component import (
-    NumberField,
-    PageContext,
-    Wording,
-    attribute,
-)
+from m100link.apps.station.console.components import component
 from m100link.apps.station.console.view.plan import (
     Draft,
     DraftHistory,
@@ -47,7 +42,7 @@ Place = tuple[float, float]
 class PlanPart:
     """Cards beside the map, which shows the way."""
 
-    def __init__(self, page: PageContext) -> None:
+    def __init__(self, page: component.PageContext) -> None:
         self._page = page
         self._say = page.wording
         self._history = DraftHistory()
@@ -79,7 +74,7 @@ class PlanPart:
         with wording.card("plan.profile"):
             self._chart = ui.echart({}).classes("profile")
             self._chart.props("id=plan-profile role=img")
-            wording.put(attribute(self._chart), "plan.profile")
+            wording.put(component.attribute(self._chart), "plan.profile")
         self._whole = WholePart(wording, self._change, self._survey)
         self._build_files()
         self._build_mission()
@@ -134,7 +129,7 @@ class PlanPart:
                     add(f"mission_{name}", f"plan.{name}", work)
             self._progress = ui.linear_progress(0.0, show_value=False)
             self._progress.props("id=mission-progress")
-            self._page.wording.put(attribute(self._progress), "plan.progress")
+            self._page.wording.put(component.attribute(self._progress), "plan.progress")
             self._state = ui.label().props("id=mission role=status")
 
     # -- what the operator does ------------------------------------------------------------------
@@ -335,13 +330,13 @@ def _place(args: Any) -> Place | None:
 class WaypointPart:
     def __init__(
         self,
-        wording: Wording,  # says what stands there
+        wording: component.Wording,  # says what stands there
         change: Callable[..., None],  # takes the fields of :class:`~m100link.Waypoint` that change
         move: Callable[[int], None],  # puts it earlier (-1) or later (1), or removes it (0)
         refuse: Callable[[str], None],  # takes what is not an action
     ) -> None:
         self._change, self._refuse = change, refuse
-        self._numbers: dict[str, NumberField] = {}
+        self._numbers: dict[str, component.NumberField] = {}
         self._is_showing = False  # what is set then was not typed
         with ui.element("div").classes("card w-full").props("id=waypoint") as self._card:
             self._title = ui.label().classes("title")
@@ -353,7 +348,7 @@ class WaypointPart:
                     ("latitude_deg", "latitude", 1e-5, None),
                     ("longitude_deg", "longitude", 1e-5, None),
                 ):
-                    self._numbers[name] = NumberField(
+                    self._numbers[name] = component.NumberField(
                         wording,
                         f"plan.{word}",
                         f"debounce=300 for=waypoint-{word}",
@@ -363,8 +358,8 @@ class WaypointPart:
                     )
             self._actions = ui.input()
             self._actions.props("dense outlined debounce=500 for=waypoint-actions")
-            wording.put(attribute(self._actions, "label"), "plan.actions")
-            wording.put(attribute(self._actions, "hint"), "plan.actions_hint")
+            wording.put(component.attribute(self._actions, "label"), "plan.actions")
+            wording.put(component.attribute(self._actions, "hint"), "plan.actions_hint")
             self._actions.on_value_change(self._acted)
             with ui.element("div").classes("choices"):
                 for word, by in (("earlier", -1), ("later", 1), ("remove", 0)):
@@ -431,17 +426,17 @@ it measures."""
 class WholePart:
     def __init__(
         self,
-        wording: Wording,  # says what stands there
+        wording: component.Wording,  # says what stands there
         change: Callable[[Draft], None],  # takes another draft
         survey: Callable[..., None],  # makes lines over the area
     ) -> None:
         self._change, self._survey = change, survey
         self._draft = Draft()
         self._selects: dict[str, ui.select] = {}
-        self._lines: dict[str, NumberField] = {}
+        self._lines: dict[str, component.NumberField] = {}
         self._is_showing = False  # what is set then was not chosen
         with ui.element("div").classes("card w-full"), ui.element("div").classes("numbers"):
-            self._speed = NumberField(
+            self._speed = component.NumberField(
                 wording,
                 "plan.speed",
                 "debounce=300 for=plan-speed",
@@ -454,14 +449,14 @@ class WholePart:
                 select = ui.select([one.value for one in kind])
                 said = {one.value: f"plan.{word}.{one.name.lower()}" for one in kind}
                 wording.options(select, said)
-                wording.put(attribute(select, "label"), f"plan.{word}")
+                wording.put(component.attribute(select, "label"), f"plan.{word}")
                 select.props(f"dense outlined for=plan-{word}")
                 select.on_value_change(partial(self._selected, name, kind))
                 self._selects[name] = select
         with wording.card("plan.survey"):
             with ui.element("div").classes("numbers"):
                 for name, value, low, step, measure in _LINES:
-                    self._lines[name] = NumberField(
+                    self._lines[name] = component.NumberField(
                         wording,
                         f"plan.{name}",
                         f"clearable for=survey-{name}",
