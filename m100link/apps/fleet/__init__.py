@@ -15,12 +15,4 @@ from m100link.apps.fleet.client import Change, Fleet, FleetAircraft, connect
 from m100link.apps.fleet.control import FleetControl
 from m100link.apps.fleet.payloads import Outcome, Result
 
-__all__ = [
-    "Change",
-    "Fleet",
-    "FleetAircraft",
-    "FleetControl",
-    "Outcome",
-    "Result",
-    "connect",
-]
+__all__ = ["Change", "Fleet", "FleetAircraft", "FleetControl", "Outcome", "Result", "connect"]

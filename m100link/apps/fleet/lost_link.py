@@ -59,8 +59,7 @@ class LostLinkPlan:
             )
         if not 0.0 <= self.after_s <= _MOST_S:
             raise UsageError(
-                f"lost_after is {self.after_s:g} s",
-                remedy=f"choose 0 to {_MOST_S:g} s",
+                f"lost_after is {self.after_s:g} s", remedy=f"choose 0 to {_MOST_S:g} s"
             )
 
 

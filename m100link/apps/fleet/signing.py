@@ -54,10 +54,7 @@ def tls_options(folder: Path, name: str, *, listens: bool = False) -> dict[str, 
 
     ``listens``: for a router, which also shows it to clients and other routers.
     """
-    tls: dict[str, object] = {
-        "root_ca_certificate": str(folder / "ca.pem"),
-        "enable_mtls": True,
-    }
+    tls: dict[str, object] = {"root_ca_certificate": str(folder / "ca.pem"), "enable_mtls": True}
     for side in ("connect", *(("listen",) if listens else ())):
         tls[f"{side}_certificate"] = str(folder / f"{name}.pem")
         tls[f"{side}_private_key"] = str(folder / f"{name}.key")

@@ -282,9 +282,7 @@ def _overrides(text: str) -> dict[str, str]:
     return found
 
 
-def open_ros2(
-    environment: Mapping[str, str] = os.environ,
-) -> AbstractAsyncContextManager[ZenohBus]:
+def open_ros2(environment: Mapping[str, str] = os.environ) -> AbstractAsyncContextManager[ZenohBus]:
     """A session while the block runs, configured as rmw_zenoh's are.
 
     Without a router it waits for one; who listens is found when that is there. Raises UsageError:

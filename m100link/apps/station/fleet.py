@@ -108,12 +108,7 @@ async def serving_fleet(
 
 
 def _services(
-    one: FleetAgent,
-    bus: Bus,
-    keys: Keys,
-    settings: Settings,
-    fleet: FleetSettings,
-    others: Beside,
+    one: FleetAgent, bus: Bus, keys: Keys, settings: Settings, fleet: FleetSettings, others: Beside
 ) -> dict[str, Coroutine[Any, Any, None]]:
     """The services of an aircraft beside its agent, by what they are."""
     verify, revocations = fleet.verify, fleet.revocations

@@ -139,11 +139,7 @@ class Sockets:
 
 
 def open_sockets(
-    stack: AsyncExitStack,
-    settings: Settings,
-    *,
-    with_console: bool,
-    with_rosbridge: bool = True,
+    stack: AsyncExitStack, settings: Settings, *, with_console: bool, with_rosbridge: bool = True
 ) -> Sockets:
     """The sockets of all fronts that the settings and the command ask for; closed with the stack.
 

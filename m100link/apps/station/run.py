@@ -419,11 +419,7 @@ def _path(directory: Path, place: int, kind: str = "agent") -> Path:
 
 
 def _owner(
-    name: str,
-    place: int,
-    settings: Settings,
-    directory: Path,
-    note: Callable[[str, str], None],
+    name: str, place: int, settings: Settings, directory: Path, note: Callable[[str, str], None]
 ) -> ChildProcess:
     request = {
         "name": name,

@@ -14,12 +14,7 @@ from typing import Any
 
 from m100link.apps.agent.background import TokenBucket
 from m100link.apps.mavlink.translator import codec
-from m100link.apps.mavlink.translator.numbers import (
-    Estimator,
-    LandedState,
-    Sensor,
-    Severity,
-)
+from m100link.apps.mavlink.translator.numbers import Estimator, LandedState, Sensor, Severity
 from m100link.apps.mavlink.translator.vehicle_state import LOWEST_BATTERY, VehicleState
 from m100link.protocol import records
 from m100link.telemetry.integrity import GOOD_GPS

@@ -107,11 +107,7 @@ def console_app(
     _log_nothing_of_strangers()
     nicegui_app.add_middleware(Policy)  # it reads a page: before what compresses it
     ui.run_with(
-        app,
-        title="m100link",
-        dark=None,
-        show_welcome_message=False,
-        reconnect_timeout=_RECONNECT_S,
+        app, title="m100link", dark=None, show_welcome_message=False, reconnect_timeout=_RECONNECT_S
     )
     return settings.gate(PageRateLimit(app, "/"))
 

@@ -66,18 +66,12 @@ _COUNTED: tuple[tuple[str, str, str, Mapping[str, str]], ...] = (
             "foreign": "foreign_acks",
         },
     ),
-    (
-        *("m100_link_discarded_bytes", "Bytes outside any frame", ""),
-        {"": "discarded_bytes"},
-    ),
+    (*("m100_link_discarded_bytes", "Bytes outside any frame", ""), {"": "discarded_bytes"}),
     (
         *("m100_link_dropped_writes", "Frames not written because the link did not drain", ""),
         {"": "dropped_writes"},
     ),
-    (
-        *("m100_missed_setpoints", "Setpoints sent too late", ""),
-        {"": "missed_setpoints"},
-    ),
+    (*("m100_missed_setpoints", "Setpoints sent too late", ""), {"": "missed_setpoints"}),
     ("m100_link_repeats", "Transmissions beyond the first of a request", "", {"": "repeats"}),
     ("m100_link_expired", "Requests that ran out of tries", "", {"": "expired"}),
 )
@@ -222,11 +216,7 @@ def metrics_app(
     async def greet(request: Request) -> Response:
         return PlainTextResponse("m100link station: /metrics, and /dashboard.json for Grafana.\n")
 
-    routes = [
-        Route("/", greet),
-        Route("/metrics", metrics),
-        Route("/dashboard.json", dashboard),
-    ]
+    routes = [Route("/", greet), Route("/metrics", metrics), Route("/dashboard.json", dashboard)]
     return settings.gate(Starlette(routes=routes))
 
 

@@ -199,11 +199,7 @@ class RosbridgeServer:
             session.charge(time.thread_time() - began, now)
 
     async def _write(
-        self,
-        websocket: WebSocket,
-        session: Client,
-        wake: asyncio.Event,
-        closing: asyncio.Event,
+        self, websocket: WebSocket, session: Client, wake: asyncio.Event, closing: asyncio.Event
     ) -> None:
         # A client that does not read does not answer pings either: the server cuts it off then,
         # and a send that waits for it ends.
@@ -238,10 +234,7 @@ class RosbridgeServer:
 
 def _health_of(agent: AgentClient) -> dict[str, Any]:
     fault = agent.state.connection_fault
-    return {
-        "connection": agent.view.connection,
-        "error": str(fault.error()) if fault else "",
-    }
+    return {"connection": agent.view.connection, "error": str(fault.error()) if fault else ""}
 
 
 def _frames(session: Client) -> list[str | bytes]:

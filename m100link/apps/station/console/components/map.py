@@ -30,12 +30,7 @@ from m100link.protocol.records import Position
 
 # -- the map ---------------------------------------------------------------------------------------
 
-_TOOLS = (
-    ("in", "add"),
-    ("out", "remove"),
-    ("follow", "my_location"),
-    ("turn", "navigation"),
-)
+_TOOLS = (("in", "add"), ("out", "remove"), ("follow", "my_location"), ("turn", "navigation"))
 """The action of each, ``page.map.<action>`` is its name for people; its icon."""
 
 
@@ -246,11 +241,7 @@ class ClickPart:
         self._pointed, self._problem = self._pointed.changed(name, value), None
 
     def _by_distance(self, _: float | None) -> None:
-        here, distance, bearing = (
-            self._page.here(),
-            self._distance.value,
-            self._bearing.value,
-        )
+        here, distance, bearing = (self._page.here(), self._distance.value, self._bearing.value)
         if here is None or distance is None or bearing is None:
             return
         self._pointed = self._pointed.by_distance(here, distance, bearing)

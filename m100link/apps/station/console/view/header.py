@@ -128,10 +128,7 @@ RULES: dict[Cause, tuple[AlarmLevel, Callable[[Situation], bool]]] = {
     _C.NOT_ACTIVATED: (_L.WARNING, lambda now: not now.is_activated),
     _C.PENDING: (_L.WARNING, lambda now: now.holding in ("obtaining", "resuming")),
     _C.GIVING_BACK: (_L.NEUTRAL, lambda now: now.holding == "releasing"),
-    _C.MISSION: (
-        _L.GOOD,
-        lambda now: now.has_lease and now.has_authority and now.has_mission,
-    ),
+    _C.MISSION: (_L.GOOD, lambda now: now.has_lease and now.has_authority and now.has_mission),
     _C.YOURS: (_L.GOOD, lambda now: now.has_lease and now.has_authority),
     _C.RC: (_L.WARNING, lambda now: _lacks_authority(now) and now.device is Device.RC),
     _C.TAKEN: (

@@ -263,13 +263,7 @@ def summary_of(draft: Draft, found: Checked) -> Text:
     minutes, seconds = divmod(round(found.estimate.duration_s), 60)
     time, battery = f"{minutes}:{seconds:02d}", round(found.estimate.battery_percent)
     return tr(
-        "plan.summary",
-        count=count,
-        length=length,
-        low=low,
-        high=high,
-        time=time,
-        battery=battery,
+        "plan.summary", count=count, length=length, low=low, high=high, time=time, battery=battery
     )
 
 
@@ -318,11 +312,5 @@ def profile_options(points: list[tuple[float, float]], units: Units) -> dict[str
         "grid": {"left": 52, "right": 14, "top": 12, "bottom": 28},
         "xAxis": axis,
         "yAxis": axis,
-        "series": [
-            {
-                "type": "line",
-                "data": data,
-                "areaStyle": {"opacity": 0.15},
-            }
-        ],
+        "series": [{"type": "line", "data": data, "areaStyle": {"opacity": 0.15}}],
     }
