@@ -65,13 +65,12 @@ from m100link.apps.fleet.show.conductor import _part
 from m100link.apps.fleet.show.plan.conflicts import ConflictMonitor
 from m100link.apps.fleet.show.plan.document import Show
 from m100link.apps.fleet.show.plan.track import TimedTrack
+from m100link.apps.mavlink.bridge import SignatureMemory, Snapshot
 from m100link.apps.mavlink.translator.codec import (
     LAYOUTS,
     MavlinkMessage,
     MessageReader,
     PacketSigner,
-    SignatureMemory,
-    Snapshot,
     ending_command,
     write_frame,
 )
