@@ -73,7 +73,6 @@ class SparingLogger(logging.LoggerAdapter[logging.Logger]):
         return self.logger.level
 
     def isEnabledFor(self, level: int) -> bool:  # noqa: N802 - the name that logging gives it
-        """Whether lines of that level are written."""
         return level >= self._least and super().isEnabledFor(level)
 
     def log(self, level: int, msg: object, *args: object, **keywords: Any) -> None:

@@ -52,8 +52,6 @@ class QueryAnswer:
 
 @dataclass(frozen=True, slots=True)
 class TokenChange:
-    """A token appeared, or is gone."""
-
     key: str
     is_there: bool
 

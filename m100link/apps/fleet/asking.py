@@ -47,7 +47,6 @@ Sign = Callable[[OrderMessage, str], OrderMessage]
 
 
 def nobody_there(name: str) -> errors.Unreachable:
-    """The error for an aircraft whose agent is absent."""
     return errors.Unreachable(
         f"no agent named {name} is there; nothing was sent",
         remedy="m100link fleet list shows the aircraft that are present",
@@ -306,7 +305,6 @@ class Asker:
 
 
 def reason_of(name: str, fault: RemoteError | None) -> errors.M100Error:
-    """The reason that the agent of that name gives for a refusal."""
     return MessageError(f"{name} gave no reason") if fault is None else fault.error()
 
 

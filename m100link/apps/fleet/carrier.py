@@ -213,7 +213,6 @@ class FleetChannel(ChannelEnd):
         return False
 
     def _greeted(self, hello: messages.Hello) -> bool:
-        """Whether it is still the agent that it was."""
         self._boot = self._boot or hello.name
         if hello.version != messages.VERSION:
             self._end(f"it speaks version {hello.version}, this client {messages.VERSION}")

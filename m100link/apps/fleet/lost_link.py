@@ -44,8 +44,6 @@ _MOST_S = 3600.0
 
 @dataclass(frozen=True, slots=True)
 class LostLinkPlan:
-    """The action of the aircraft when its operator is lost."""
-
     # ``hover``, and control authority goes back to the pilot with the remote control; ``land`` in
     # place, or go ``home``.
     action: LostAction = "hover"

@@ -377,7 +377,6 @@ class OrderCache:
         return True
 
     def was_begun_before(self, identity: str) -> bool:
-        """Whether an agent before began it."""
         return identity in self._before
 
     def is_unsure(self, made_at: float) -> bool:

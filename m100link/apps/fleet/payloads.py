@@ -289,7 +289,6 @@ class OrderMessage:
         return self.sealed(proof=_proof(token, self.document)) if token else self
 
     def proves(self, token: str) -> bool:
-        """Whether the proof is one of this lease."""
         return hmac.compare_digest(self.proof, _proof(token, self.document))
 
     def sealed(self, document: bytes = b"", **seals: bytes) -> OrderMessage:

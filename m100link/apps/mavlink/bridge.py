@@ -105,11 +105,9 @@ class Peers:
         return now - self._heard.get(peer, -FORGOTTEN_AFTER) < FORGOTTEN_AFTER
 
     def is_lost(self, peer: Peer, now: float) -> bool:
-        """Whether its heartbeat fails to come."""
         return now - self._trusted.get(peer, -LOST_AFTER) >= LOST_AFTER
 
     def is_known(self, address: Address) -> bool:
-        """Whether somebody there has been heard, and was not forgotten."""
         return any(one.address == address for one in self._heard)
 
     def forget(self, now: float) -> None:

@@ -344,7 +344,6 @@ class MissionFlights:
     # -- progress --------------------------------------------------------------------------------
 
     def leg(self, flight: FlightSequence, number: int, is_done: bool) -> None:
-        """A leg of a flight begins, or is done."""
         if self._manager.flight is not flight:
             return
         self.flown = None if is_done else flight.legs[number]
@@ -361,7 +360,6 @@ class MissionFlights:
             self._missions.over()
 
     def begun(self, flight: FlightSequence) -> None:
-        """The aircraft has begun to fly the mission by itself."""
         self._done = 0
         if self._manager.mission_begun(flight):
             self._tell(Severity.NOTICE, "mission: the aircraft flies it by itself")
@@ -383,7 +381,6 @@ class MissionFlights:
                 self._manager.interrupt("hold: the mission is stopped")
 
     def report(self, reported: MissionReport) -> None:
-        """The aircraft reported the mission that it flies for us."""
         flight = self._manager.flight
         if flight is None or flight.plan is None or not self._manager.is_flown_by_aircraft:
             return

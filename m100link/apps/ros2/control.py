@@ -53,7 +53,6 @@ class SetpointMux:
         self.holder = sending[0] if is_alone else None
 
     def end(self) -> None:
-        """Control has ended, or somebody pressed STOP."""
         self.is_open, self.holder = False, None
 
     def hear(self, sender: bytes, sent_at: float, now: float, sequence: int = 0) -> str:

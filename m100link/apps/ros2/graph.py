@@ -83,7 +83,6 @@ class NodeName:
         return self._token(self.number, EntityKind.NODE)
 
     def token_of(self, number: int, end: EntityKind, topic: str, kind: str, qos: Qos) -> str:
-        """The token that declares one of its ends."""
         about = f"{_mangled(topic)}/{dds_name(kind)}/{type_hash(kind)}/{qos}"
         return f"{self._token(number, end)}/{about}"
 
@@ -148,8 +147,6 @@ def read_attachment(data: bytes) -> Attachment:
 
 @dataclass(frozen=True, slots=True)
 class Names:
-    """How names of the node become names of the graph."""
-
     namespace: str  # ``/`` or ``/drones/first``
     node: str
     remaps: Mapping[str, str]  # full names by full names

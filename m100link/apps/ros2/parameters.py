@@ -41,8 +41,6 @@ class Parameter:
 
 
 class Parameters:
-    """The parameters of a node, and their services."""
-
     def __init__(
         self, agent: AgentClient, teller: MessageMaker, ends: Endpoints, names: Names
     ) -> None:

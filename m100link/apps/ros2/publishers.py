@@ -194,8 +194,6 @@ class MessageMaker:
         return self._messages.odometry(stamp, place, attitude, velocity, rates)
 
     def _of_pose(self, make: Callable[[Stamp, Place, records.Attitude], bytes]) -> _Make:
-        """A message of a place and an attitude, where both are known."""
-
         def made(sample: Sample, stamp: Stamp) -> bytes | None:
             attitude, place = self._read(records.Attitude, sample), self._place(sample)
             return None if attitude is None or place is None else make(stamp, place, attitude)
@@ -275,8 +273,6 @@ def _time(stamp: Stamp) -> dict[str, int]:
 
 
 def _of(record: type[R], make: Callable[[Stamp, R], bytes]) -> _Make:
-    """A message of one item, where a package has it."""
-
     def made(sample: Sample, stamp: Stamp) -> bytes | None:
         found = sample.get(record)
         return None if found is None else make(stamp, found)

@@ -36,8 +36,6 @@ ACTIONS: Mapping[str, Callable[[float], waypoint.WaypointAction]] = {
 
 
 def mission_services(control: RosControl) -> dict[str, Call]:
-    """The services, by the names of the table."""
-
     async def upload(request: Mapping[str, Any]) -> None:
         control.session.held()
         await control.do(orders.UploadPlan.of(plan_of(request)))

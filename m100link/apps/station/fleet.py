@@ -110,7 +110,6 @@ async def serving_fleet(
 def _services(
     one: FleetAgent, bus: Bus, keys: Keys, settings: Settings, fleet: FleetSettings, others: Beside
 ) -> dict[str, Coroutine[Any, Any, None]]:
-    """The services of an aircraft beside its agent, by what they are."""
     verify, revocations = fleet.verify, fleet.revocations
     folder = None if settings.no_record else settings.record
     show = ShowService(one.client, bus, keys, verify=verify, names=one.duplicates, beside=others)

@@ -68,7 +68,6 @@ class FoxgloveChannel:
     schema: str  # JSON schema of its messages
 
     def advertised(self) -> dict[str, Any]:
-        """The channel as the protocol advertises it to a viewer."""
         return {
             "id": self.number,
             "topic": self.topic,

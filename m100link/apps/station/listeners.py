@@ -125,7 +125,6 @@ class Sockets:
         return [f"udp://{host}:{port}" for host, port in ends]
 
     def descriptors(self) -> dict[str, list[int]]:
-        """The descriptors for another process that inherits them."""
         return {name: [one.fileno() for one in row] for name, row in self.of.items()}
 
     @classmethod

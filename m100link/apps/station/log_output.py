@@ -28,8 +28,6 @@ _LAST_WORDS = 1.0  # seconds that the end waits for lines still to be written
 
 @dataclass(frozen=True, slots=True)
 class LogOutput:
-    """The level and the form of the log of a process."""
-
     level: str = "warning"  # the lowest level that is shown, one of :data:`LEVELS`
     as_json: bool = False  # one JSON object per line
 

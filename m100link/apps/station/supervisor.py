@@ -55,7 +55,6 @@ class ChildProcess:
 
     @property
     def pid(self) -> int | None:
-        """Process id of the present child, None between two."""
         return None if self._process is None else self._process.pid
 
     async def start(self) -> None:

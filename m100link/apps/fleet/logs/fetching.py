@@ -192,7 +192,6 @@ class LogFetcher:
 
 
 def _with_rest(error: M100Error, part: words.LogPart, size: int) -> M100Error:
-    """The error, with what is here already."""
     again = error.again()
     if part.at:
         again.seen = f"{error.seen}; {part.at:,} of {size:,} bytes are in {part.path}"

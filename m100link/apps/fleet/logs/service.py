@@ -203,7 +203,6 @@ class LogDirectory:
         self._folder = None if folder is None else read_path(folder)
 
     def entries(self) -> list[words.LogEntry]:
-        """The logs, the newest first."""
         found = []
         try:
             names = [] if self._folder is None else [one.name for one in self._folder.iterdir()]
@@ -233,7 +232,6 @@ class LogDirectory:
         return data, words.LogEntry(log, status.st_size, status.st_mtime, is_written)
 
     def digest(self, log: str, length: int, is_wanted: Callable[[], bool]) -> bytes:
-        """SHA-256 of its first bytes."""
         found, left = hashlib.sha256(), length
         with self._opened(log) as stream:
             while left:

@@ -75,7 +75,6 @@ def pack_reply(reply: LogReply, data: bytes = b"") -> bytes:
 
 
 def unpack_reply(payload: bytes) -> tuple[LogReply, bytes]:
-    """The answer in these bytes, and the bytes behind it."""
     head, _, data = payloads.body(payload, MOST_PIECE + _MOST_HEAD).partition(b"\n")
     if len(data) > MOST_PIECE:
         raise MessageError(f"{len(data)} bytes of a log in one answer")
@@ -167,7 +166,6 @@ class LogPart:
             self.at = 0
 
     def digest(self) -> bytes:
-        """SHA-256 of the bytes that are there."""
         with self._lock, _telling(self.path):
             self._opened.seek(0)
             return hashlib.file_digest(self._opened, "sha256").digest()

@@ -43,7 +43,6 @@ class Beside:
         return lambda: self._hear.remove(take)
 
     def tell(self, ahead: ConflictMonitor) -> None:
-        """One of them tells where it will be."""
         for take in self._hear:
             take(ahead)
 

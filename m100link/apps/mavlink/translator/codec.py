@@ -196,8 +196,6 @@ class _Field:
 
 @dataclass(frozen=True, slots=True)
 class MessageLayout:
-    """How a message lies on the wire."""
-
     number: int
     name: str
     # The byte that its checksum ends with: two ends with different definitions do not understand

@@ -136,7 +136,6 @@ class FlightModeManager:
         return self.running is FlightSource.TAKE_OFF and self._world.phase is VehiclePhase.ARMED
 
     def explain(self) -> str:
-        """Why a mode request is refused in this phase."""
         return self._world.explain(self.phase)
 
     # -- mode requests ---------------------------------------------------------------------------
@@ -444,7 +443,6 @@ class FlightModeManager:
             self._waiting = request
 
     def has_setpoint(self, mode: Mode, peer: Peer, now: float) -> bool:
-        """Whether somebody's setpoints can be flown in a mode of setpoints."""
         return self.steering == peer and self._streams[mode].is_fresh(now)
 
     def interrupt(self, why: str) -> None:

@@ -205,7 +205,6 @@ class MissionProtocol:
     # -- progress --------------------------------------------------------------------------------
 
     def restart(self) -> None:
-        """It begins at its first item."""
         self.current, self._reached = 0, -1
         self._sent_at = self.due_at = float("-inf")
 
@@ -233,7 +232,6 @@ class MissionProtocol:
 
     @property
     def is_over(self) -> bool:
-        """Whether it was flown to its end."""
         return bool(self.items) and self._reached == len(self.items) - 1
 
     def due(self, now: float, *, is_flying: bool) -> Iterator[MavlinkMessage]:
@@ -333,7 +331,6 @@ class _Area:
         return is_in
 
     def edge_m(self, latitude_deg: float, longitude_deg: float) -> float:
-        """How far its edge is away."""
         beyond = self.away_m(latitude_deg, longitude_deg) - self.radius
         if not self.edges or beyond > _FAR_M:
             return abs(beyond)
@@ -369,8 +366,6 @@ def _distance(place: _Local, begin: _Local, end: _Local) -> float:
 
 
 def _cross(a: _Local, b: _Local, c: _Local, d: _Local) -> bool:
-    """Whether the straight ways from a to b and from c to d have a place in common."""
-
     def side(begin: _Local, end: _Local, place: _Local) -> float:
         north, east = end[0] - begin[0], end[1] - begin[1]
         return north * (place[1] - begin[1]) - east * (place[0] - begin[0])

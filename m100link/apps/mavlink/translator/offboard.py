@@ -62,8 +62,6 @@ def _turn(yaw: float) -> float:
 
 
 class Offboard:
-    """The newest setpoint of the operator."""
-
     def __init__(self, world: VehicleState, settings: Mapping[str, float]) -> None:
         self._world = world
         self._settings = settings  # of the bridge, by the names of its parameters
@@ -133,7 +131,6 @@ class Offboard:
     # -- what is flown ---------------------------------------------------------------------------
 
     def wants_up(self, now: float) -> bool:
-        """Whether it asks to leave the ground."""
         target = self.target
         if target is None or not self.is_fresh(now):
             return False
@@ -209,8 +206,6 @@ def _stick(value: float) -> float:
 
 
 class Manual:
-    """The newest sticks of the operator."""
-
     def __init__(
         self, world: VehicleState, settings: Mapping[str, float], *, is_tilt: bool
     ) -> None:

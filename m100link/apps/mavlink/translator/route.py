@@ -206,7 +206,6 @@ class Unfit(Exception):
 
 
 def flies_missions(firmware: str) -> bool:
-    """Whether an aircraft of that firmware knows waypoint missions."""
     profile = PROFILES.get(firmware)
     return profile is not None and WaypointMission.is_known_to(profile)
 
@@ -269,7 +268,6 @@ def _stays(leg: RoutePoint) -> list[Stay]:
 
 
 def _seen(problem: BadPlan, legs: Sequence[RoutePoint]) -> str:
-    """The problem, by the number of the item."""
     if problem.point is None:
         return problem.seen
     return problem.seen.replace(f"waypoint {problem.point}", f"item {legs[problem.point].item}", 1)

@@ -342,7 +342,6 @@ class Rates:
         self._due: dict[codec.Address, dict[str, float]] = {}
 
     def hz(self, name: str, peer: codec.Peer) -> float:
-        """How often a peer is sent a message."""
         return self._asked.get(peer, {}).get(name, _USUAL[name])
 
     def set_hz(self, name: str, hz: float | None, peer: codec.Peer) -> None:
@@ -392,7 +391,6 @@ class Rates:
     def due(
         self, now: float, audience: Audience
     ) -> Iterator[tuple[codec.MavlinkMessage, tuple[codec.Address, ...]]]:
-        """Those whose time has come, and where they go."""
         if audience != self.audience:
             self._arrange(audience, now)
         wanted: dict[str, list[codec.Address]] = {}

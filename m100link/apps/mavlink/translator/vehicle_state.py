@@ -123,8 +123,6 @@ VERDICTS: dict[VehiclePhase, dict[Mode, ModeVerdict]] = {
 
 
 class FlightSource(Enum):
-    """The flight that the bridge has under way."""
-
     NOTHING = "nothing"
     TAKE_OFF = "the autopilot's take-off"
     LAND = "the autopilot's landing"
@@ -241,7 +239,6 @@ class VehicleState:
 
     @property
     def yaw_deg(self) -> float | None:
-        """Heading, °."""
         attitude = self.known.view.get(Attitude)
         return None if attitude is None else attitude.yaw_deg
 
@@ -282,7 +279,6 @@ class VehicleState:
         return VehiclePhase.FREE if view.switch is RcMode.F else VehiclePhase.PILOT
 
     def explain(self, phase: VehiclePhase) -> str:
-        """Why a mode request is refused in a phase."""
         if phase is VehiclePhase.OTHER:
             return f"{self.known.view.holder.name} has control"
         if phase is VehiclePhase.PILOT:
@@ -293,7 +289,6 @@ class VehicleState:
 
     @property
     def flies_mission(self) -> bool:
-        """Whether the aircraft reports that it flies a mission of any program."""
         view = self.known.view
         return view.state.mission in _MISSIONS and view.is_connected
 
@@ -327,7 +322,6 @@ def mode_of_number(main: int, sub: int) -> Mode | None:
 
 
 def mode_of_standard(number: int) -> Mode | None:
-    """The mode of that MAV_STANDARD_MODE."""
     return _selectable(lambda row: row.standard == number != 0)
 
 

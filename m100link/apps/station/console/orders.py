@@ -33,8 +33,6 @@ class SimulatorOrders:
 
 
 def orders_in_process(virtual: VirtualAircraft) -> SimulatorOrders:
-    """Orders to a virtual aircraft of this event loop."""
-
     async def give(words: list[str]) -> dict[str, Any]:
         perform(virtual, words)
         return status(virtual)

@@ -293,7 +293,6 @@ class Server(uvicorn.Server):
         lifespan: Literal["on", "off"] = "off",
         intake: Intake | None = None,
     ) -> Server:
-        """A server with the limits of the station."""
         config = Config(
             app,
             intake,

@@ -232,8 +232,6 @@ _Box = tuple[float, float, float, float]
 
 
 class RestOfTrack:
-    """The rest of the track that one aircraft has to fly."""
-
     def __init__(self, track: TimedTrack) -> None:
         self._track = track
         self._step = max(_LEAST_STEP_S, track.end / _MOST_MOMENTS)

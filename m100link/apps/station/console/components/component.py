@@ -49,7 +49,6 @@ class Wording:
         self.follow(lambda: show(self(text)))
 
     def label(self, key: str, **values: object) -> ui.label:
-        """A label with a text, in the present element."""
         label = ui.label()
         self.put(label.set_text, key, **values)
         return label

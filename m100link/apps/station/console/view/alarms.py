@@ -292,8 +292,6 @@ class _Watched:
 
 
 class AlarmManager:
-    """The alarms of one tab, which its operator acknowledges."""
-
     def __init__(self, definitions: tuple[Definition, ...] = ALARMS) -> None:
         self._watched = {one.name: _Watched(one) for one in definitions}
         self._has_looked = False

@@ -231,8 +231,6 @@ SPEEDS = (0.1, 0.5, 1.0, 2.0, 5.0, 10.0, 50.0)
 
 @dataclass(frozen=True, slots=True)
 class ReplayView:
-    """The content of the bar of a replay."""
-
     title: Text  # that it is one, and of what
     place: Text  # how far it is, and when that was
     note: Text | None  # that it is at its end, or that there is no more; None for nothing
@@ -241,7 +239,6 @@ class ReplayView:
 
 
 def replay_of(source: Replay | None) -> ReplayView | None:
-    """The bar; None where it is not a replay."""
     if source is None:
         return None
     when = time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime(source.utc))
@@ -285,7 +282,6 @@ class FleetRow:
 
 
 def fleet_of(ships: Sequence[Ship]) -> tuple[FleetRow, ...]:
-    """A row for each aircraft; none where there is only one."""
     return tuple(map(_row, ships)) if len(ships) > 1 else ()
 
 

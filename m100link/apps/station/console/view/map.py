@@ -66,8 +66,6 @@ class GuidedKind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Pointed:
-    """The target of a click on the map, and how to fly it."""
-
     kind: GuidedKind = GuidedKind.PLACE  # what is wanted
     # Latitude and longitude, °; None before anything was pointed at.
     place: tuple[float, float] | None = None
@@ -106,7 +104,6 @@ class Pointed:
 
     @property
     def order(self) -> GuidedOrder | None:
-        """The order for the agent; None while there is no point."""
         if self.kind is GuidedKind.HEIGHT:
             return orders.ChangeHeight(self.height)
         if self.kind is GuidedKind.HEADING:
@@ -162,8 +159,6 @@ class MapRefusal:
 
 @dataclass(frozen=True, slots=True)
 class Drawing:
-    """A point or a flight on the map."""
-
     # Latitude and longitude, °; None where the place stays.
     place: tuple[float, float] | None = None
     radius: float = 0.0  # of the circle, m; 0 for none

@@ -235,7 +235,6 @@ def actions_of(text: str) -> tuple[waypoint.WaypointAction, ...]:
 
 
 def text_of(actions: Sequence[waypoint.WaypointAction]) -> str:
-    """The line of text that names them."""
     words = {kind: word for word, kind in _WORDS.items()}
     parts = []
     for action in actions:

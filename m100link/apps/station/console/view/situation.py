@@ -75,12 +75,10 @@ class Situation:
 
     @property
     def is_connected(self) -> bool:
-        """Whether the aircraft is connected, by an agent that is heard."""
         return self.hearing is Hearing.HEARD and self.connection == "connected"
 
     @property
     def has_mission(self) -> bool:
-        """Whether a mission of any program flies the aircraft."""
         return self.mission not in ("", "no mission", "IOC")
 
     @property

@@ -33,8 +33,6 @@ class Language(Enum):
 
 
 class LengthUnit(Enum):
-    """The units of lengths and heights on the page."""
-
     METRE = "m"
     FOOT = "ft"
 
@@ -84,13 +82,11 @@ class Units:
     speed: SpeedUnit = SpeedUnit.M_S
 
     def convert(self, value: float, kind: QuantityKind) -> float:
-        """A number in SI units as a number in these."""
         if kind is QuantityKind.LENGTH:
             return value * _LENGTH_FACTORS[self.length]
         return value * _SPEED_FACTORS[self.speed]
 
     def to_si(self, shown: float, kind: QuantityKind) -> float:
-        """A number in these units as a number in SI units."""
         return shown / self.convert(1.0, kind)
 
     def unit(self, kind: QuantityKind) -> str:
@@ -151,7 +147,6 @@ class Text:
 
 
 def tr(key: str, **values: object) -> Text:
-    """A text to be said, with what is filled in."""
     return Text(key, values)
 
 
@@ -205,7 +200,6 @@ def for_browser(speaker: Translator) -> dict[str, object]:
 
 
 def problem_text(error: M100Error) -> Text:
-    """The error with its cause and its remedy."""
     return Text(_key(error), {"original": str(error)})
 
 
