@@ -27,9 +27,8 @@ from m100link.apps.ros2.endpoints import (
     trigger,
 )
 from m100link.apps.ros2.graph import ADMIN, GraphDiscovery, Names, NodeName
-from m100link.apps.ros2.parameters import Parameters
 from m100link.apps.ros2.publishers import ALL_OUTPUTS, MessageMaker
-from m100link.apps.ros2.services import GimbalServices, angles_of, mission_services
+from m100link.apps.ros2.services import GimbalServices, Parameters, angles_of, mission_services
 from m100link.apps.ros2.topics import DJI_OUTPUTS, INPUTS, SERVICES
 from m100link.errors import M100Error, UsageError
 from m100link.protocol.records import Position

@@ -7,7 +7,7 @@ from typing import Any
 import anyio
 import pytest
 
-from m100link.apps.ros2.parameters import MOST_HZ
+from m100link.apps.ros2.services import MOST_HZ
 from tests.apps.ros2.conftest import Program, Rig
 
 pytestmark = pytest.mark.anyio
