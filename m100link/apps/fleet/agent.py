@@ -457,10 +457,7 @@ class DuplicateNames:
         self._heard: dict[str, tuple[float, float]] = {}
 
     def hear(self, boot: str, now: float) -> None:
-        """A message came under this name.
-
-        ``now``: s.
-        """
+        """A message came under this name. ``now``: s."""
         if boot == self._boot:
             return
         self._heard = {one: at for one, at in self._heard.items() if now - at[1] <= GONE_S}

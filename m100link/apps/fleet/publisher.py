@@ -187,10 +187,7 @@ class Thinner:
         self._seen_at = [-math.inf] * _BITS
 
     def goes_on(self, flags: int, at: float) -> bool:
-        """Whether a package goes on.
-
-        ``at``: when it came, s.
-        """
+        """Whether a package goes on. ``at``: when it came, s."""
         sent, seen, is_due = self._sent_at, self._seen_at, False
         items = _items(flags)
         for bit in items:

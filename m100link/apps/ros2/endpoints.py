@@ -30,10 +30,7 @@ Call = Callable[[dict[str, Any]], Awaitable[Mapping[str, Any]]]
 
 
 class PublishedTopic:
-    """A topic that is published.
-
-    ``utc``: POSIX time, s.
-    """
+    """A topic that is published. ``utc``: POSIX time, s."""
 
     __slots__ = ("_gid", "_kind", "_outlet", "_sequence", "_utc", "is_wanted")
 
@@ -85,10 +82,7 @@ class _Service:
 
 
 class Endpoints:
-    """All ends of a node.
-
-    ``utc``: POSIX time, s.
-    """
+    """All ends of a node. ``utc``: POSIX time, s."""
 
     def __init__(
         self, bus: PolledBus, name: graph.NodeName, background: TaskSet, utc: Callable[[], float]

@@ -314,10 +314,7 @@ class Status:
 def diagnostics(
     view: VehicleView, clock: DeviceClock | None, counted: Mapping[str, int]
 ) -> list[Status]:
-    """How everything is.
-
-    ``clock``: its clock; None before its first tick.
-    """
+    """How everything is. ``clock``: its clock; None before its first tick."""
     node = Status("node", DiagnosticLevel.OK, "failures since the start of the node", counted)
     return [_line(view), _clock(clock), _navigation(view), _control(view), _battery(view), node]
 

@@ -388,10 +388,7 @@ def _convert(name: str, value: Any, source: str) -> Any:
 
 
 def _as(kind: str, value: Any) -> Any:
-    """A value as a setting of this type.
-
-    Raises ``TypeError, ValueError``: it cannot be one.
-    """
+    """A value as a setting of this type. Raises ``TypeError, ValueError``: it cannot be one."""
     if kind.startswith("tuple"):
         items = value if isinstance(value, list | tuple) else [value]
         return tuple(int(one) if "int" in kind else str(one) for one in items)

@@ -177,10 +177,7 @@ class Ships:
         self._unused: dict[str, FleetChannel] = {}
 
     async def first(self, names: Sequence[str]) -> str:
-        """The first of these that answers.
-
-        Raises ``LinkError``: none does.
-        """
+        """The first of these that answers. Raises ``LinkError``: none does."""
         for name in names:
             try:
                 self._unused[name] = await self._fleet.reach(name)
@@ -193,10 +190,7 @@ class Ships:
         return name
 
     async def reach(self, name: str) -> Channel:
-        """A way to one.
-
-        Raises ``LinkError``: it does not answer.
-        """
+        """A way to one. Raises ``LinkError``: it does not answer."""
         channel = self._unused.pop(name, None) or await self._fleet.reach(name)
         self._channels[name] = channel
         return channel

@@ -62,10 +62,7 @@ class FrontSpec:
     prepares: bool = False  # whether its module has ``prepare``
 
     def load(self) -> Any:
-        """Its module.
-
-        Raises ``UsageError``: something that it needs is not installed.
-        """
+        """Its module. Raises ``UsageError``: something that it needs is not installed."""
         try:
             return import_module(f"m100link.apps.station.{self.module}")
         except ModuleNotFoundError as error:

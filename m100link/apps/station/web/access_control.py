@@ -241,10 +241,7 @@ def _is_secure(scope: Scope) -> bool:
 
 
 def _query(scope: Scope) -> dict[str, list[str]]:
-    """Fields of the query.
-
-    Raises ``ValueError``: there are too many.
-    """
+    """Fields of the query. Raises ``ValueError``: there are too many."""
     text = scope.get("query_string", b"").decode("latin-1")
     return parse_qs(text, max_num_fields=_MAX_FIELDS)
 

@@ -47,10 +47,7 @@ class Draft:
         return cls(points=tuple(plan.waypoints), area=area, **same)
 
     def plan(self) -> WaypointPlan:
-        """The plan.
-
-        Raises ``BadPlan``: the aircraft would refuse it.
-        """
+        """The plan. Raises ``BadPlan``: the aircraft would refuse it."""
         return WaypointPlan(self.points, **{name: getattr(self, name) for name in _OF_A_PLAN})
 
     def added(self, place: Place, height: float, after: int | None = None) -> Draft:
@@ -294,10 +291,7 @@ def drawing(draft: Draft, found: Checked, chosen: int | None) -> dict[str, objec
 
 
 def profile_options(points: list[tuple[float, float]], units: Units) -> dict[str, object]:
-    """The chart of heights by distance, as ECharts takes it.
-
-    ``points``: way and height, m.
-    """
+    """The chart of heights by distance, as ECharts takes it. ``points``: way and height, m."""
     data = [[round(units.convert(one, QuantityKind.LENGTH), 1) for one in at] for at in points]
     axis = {
         "type": "value",
