@@ -252,8 +252,7 @@ class AgentClient:
         self._answers = PendingRequests(self._send)
         #: Time of the newest STOP that was heard of, s by this clock. Older orders are refused, and
         #: keys that a person released before it do not undo the STOP.
-        self.stopped_at = -math.inf
-        self._after_stop = -math.inf  # the next instant: what is asked for then is newer
+        self.stopped_at = self._after_stop = -math.inf  # and the instant behind it
         self._stops = 0  # how many were heard of
         # Time of the last event of the agent before, whose events another way tells again.
         self._known_until = -math.inf
