@@ -149,6 +149,22 @@ async def test_a_pilot_who_comes_back_gives_it_back(rig: Rig) -> None:
     assert S.RESUMING in rig.states
 
 
+async def test_a_return_that_was_refused_is_waited_for_once_more(rig: Rig) -> None:
+    """The pilot touched F: the switch was out of it again before the request arrived."""
+    await rig.agent.ask(orders.Obtain(), rig.token)
+    rig.aircraft.leave_f()
+    await rig.until(lambda: rig.holding.state is S.PAUSED)
+    rig.aircraft.set_faults(LineFaults(delay=0.05))
+    rig.aircraft.return_to_f()
+    await rig.until(lambda: rig.holding.state is S.RESUMING)
+    rig.aircraft.leave_f()
+    await rig.until(lambda: rig.holding.state is S.TAKEN)  # the aircraft refused it
+    await anyio.sleep(1.0)
+    assert not rig.holding.has_authority
+    rig.aircraft.return_to_f()
+    await rig.until(lambda: rig.holding.has_authority)
+
+
 async def test_a_pilot_who_comes_back_does_not_fly_for_another_client(rig: Rig) -> None:
     await rig.agent.ask(orders.Obtain(), rig.token)
     rig.aircraft.leave_f()
