@@ -436,7 +436,7 @@ def fly_show(
     The command checks the show first. An aircraft that has to leave its track hovers or lands by
     itself; the command names it, and the others fly on. After Ctrl-C before the beginning all leave
     and hover. After Ctrl-C later they fly on: m100link fleet stop --all stops them. The exit status
-    is 0 if all flew to the end.
+    is 0 if all flew to the end and landed, where they were to.
 
     Args:
         show: A file of JSON; - is standard input.
@@ -470,7 +470,7 @@ def fly_show(
             words = part.why or f"at most {part.farthest_m:.2f} m from its track"
             facts = {"name": part.name, "stage": stage, "why": part.why}
             tell(facts, f"{part.name}: {stage}, {words}", as_json=options.json_output)
-        is_flown = all(part.stage is ShowStage.FLOWN for part in parts.values())
+        is_flown = all(one.stage is ShowStage.FLOWN and not one.why for one in parts.values())
         return ExitCode.OK if is_flown else ExitCode.FAILED
 
     return run_async(run())

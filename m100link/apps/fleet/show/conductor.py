@@ -47,7 +47,7 @@ class Part:
     stage: payloads.ShowStage | None  #: its stage; None when unknown, because it does not answer
     digest: str = ""  #: digest of its track
     farthest_m: float = 0.0  #: greatest distance from its track, by its own telemetry
-    why: str = ""  #: why it left, or does not report
+    why: str = ""  #: why it left, did not land behind its track, or does not report
     clock: float = 0.0  #: its own clock as it answered, s
 
 
@@ -226,7 +226,7 @@ class Conductor:
         await self._do(track, start, payloads.ShowStage.FLYING)
 
     async def _watch(self, track: TimedTrack) -> Part:
-        """Until it has flown its track, has left, or is silent."""
+        """Until it has flown its track and landed, if it is to, has left, or is silent."""
         heard_at = self._clock()
         while True:
             try:
@@ -242,7 +242,8 @@ class Conductor:
                 await asyncio.sleep(_LOOK_S)
                 continue
             if part.stage is payloads.ShowStage.FLOWN:
-                self._tell(f"{track.name} has flown its track")
+                why = part.why and f", and did not land: {part.why}"
+                self._tell(f"{track.name} has flown its track{why}")
                 return part
             if part.stage is not payloads.ShowStage.FLYING:
                 why = part.why and f": {part.why}"  # none where it was ordered to leave

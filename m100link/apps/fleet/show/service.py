@@ -179,7 +179,8 @@ class ShowService:
         performer = self.performer
         track, why = performer.track, performer.fault
         card = payloads.ShowCard(
-            performer.stage,
+            # Its conductor waits for the end of the landing, too, and hears what came of it.
+            payloads.ShowStage.FLYING if performer.is_landing else performer.stage,
             "" if track is None else track.digest,
             performer.farthest_m,
             "" if why is None else why.seen,

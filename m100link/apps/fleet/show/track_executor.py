@@ -70,7 +70,7 @@ class TrackExecutor:
         self._client = client
         self._name = name
         self.stage = ShowStage.EMPTY  # how far it is
-        self.fault: M100Error | None = None  # why it left; None otherwise
+        self.fault: M100Error | None = None  # why it left, or did not land; None otherwise
         self.track: TimedTrack | None = None  # what it is loaded with; None for nothing
         self.farthest_m = 0.0  # farthest from its track, by its own telemetry
         # The others of the show; None when it was loaded without a word about them.
@@ -136,6 +136,11 @@ class TrackExecutor:
             )
 
     # -- orders ----------------------------------------------------------------------------------
+
+    @property
+    def is_landing(self) -> bool:
+        """Whether it lands behind its track."""
+        return self.stage is ShowStage.FLOWN and self._control.has_lease
 
     def _require(self, order: type[ShowOrder], what: str) -> None:
         is_landing = order is LoadTrack and self._control.has_lease
@@ -379,6 +384,7 @@ class TrackExecutor:
                 async with control.kept():
                     await control.bring_down(orders.Land(), self._client.asked_at)
             except M100Error as error:
+                self.fault = self.fault or error
                 self._client.note(f"show: {error.seen}", "error")
         control.let_go()
 

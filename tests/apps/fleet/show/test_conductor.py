@@ -26,6 +26,8 @@ from m100link.apps.fleet.signing import signing, verifying
 from m100link.errors import GuardRefused, M100Error, NotAllowed, Unreachable, UsageError
 from m100link.flight.guards import Envelope, Guards
 from m100link.geodesy import LocalFrame
+from m100link.protocol.codes import TaskStartCode
+from m100link.protocol.commands.control import Task
 from m100link.sim.vehicle.settings import AircraftSettings
 from m100link.sim.virtual import VirtualAircraft
 from tests.apps.bus.memory import Weather
@@ -116,6 +118,24 @@ async def test_five_fly_a_show_and_land(rig: Rig) -> None:
         watching.cancel()
         assert await watching > 8.0
         assert sum("has flown its track" in text for text in made.told) == 5
+
+
+@pytest.mark.slow
+async def test_one_that_does_not_land_behind_its_track_is_named(rig: Rig) -> None:
+    """It hovers there, and nobody has control of it."""
+    async with company(rig, 1) as made:
+        flight = made.on_board[0].aircraft.vehicle.flight
+        begin = flight.start_task
+
+        def start_task(number: int, task: Task, has_authority: bool) -> TaskStartCode:
+            return begin(number, task, has_authority and task != Task.LAND)
+
+        with pytest.MonkeyPatch.context() as patched:
+            patched.setattr(flight, "start_task", start_task)
+            parts = await made.conductor(leave="land").fly()
+    assert stages(parts) == [ShowStage.FLOWN]
+    assert "land was refused" in parts["a1"].why
+    assert any("did not land: land was refused" in one for one in made.told)
 
 
 async def test_those_that_are_ready_wait_for_one_that_is_long_on_its_way(
