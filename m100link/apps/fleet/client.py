@@ -67,7 +67,8 @@ class FleetAircraft:
         """Control of it, as ``async with``: the lease, authority, and orders to fly.
 
         Args:
-            stop: Action of the aircraft when the block is left: ``hover`` or ``land``.
+            stop: Action of the aircraft when the block is left: ``hover`` or ``land``. Behind
+                a STOP it does not land, and leaving the block raises ``GuardRefused``.
             take_over: Take the lease from its holder.
 
         Raises (when it is entered):

@@ -55,6 +55,7 @@ class FleetControl:
         self._owner: asyncio.Task[object] | None = None  # who is in the block, and not leaving it
         self._cancelled = 0  # how often others had cancelled him before
         self._has_entered = False
+        self._began_at = 0.0  # s
         self._lost: errors.M100Error | None = None
         self._refused: errors.M100Error | None = None
 
@@ -79,6 +80,7 @@ class FleetControl:
     async def __aenter__(self) -> Self:
         # A program whose steps are blocks of their own does not fly on after a STOP between two.
         asked_at = self._asker.unstopped_since()
+        self._began_at = self._clock()
         # An order that says when it was made is not carried out when nobody waits for it any more.
         if await self._asker.is_there():
             await self._asker.look(within=STEP_S)
@@ -106,7 +108,8 @@ class FleetControl:
         try:
             try:
                 if self._lost is None and self._stop == "land" and session is not None:
-                    await session.bring_down(orders.Land(), self._clock())
+                    # Not behind a STOP, which may be why the block ends.
+                    await session.bring_down(orders.Land(), self._began_at)
             finally:
                 await self._leave()
         except asyncio.CancelledError as error:

@@ -322,6 +322,35 @@ async def test_a_take_over_of_what_is_given_back_meanwhile(rig: Rig, after: floa
             assert one.client.holder.name == "second"
 
 
+@pytest.mark.parametrize("what", ["setpoints", "a flight", "nothing", "its own"])
+async def test_a_block_that_ends_by_or_behind_a_stop_does_not_land(rig: Rig, what: str) -> None:
+    """It is to stand still, perhaps because somebody is below it."""
+    one, pilot = await rig.aircraft("a1"), await rig.pilot()
+    anybody = await rig.pilot("anybody")
+
+    async def fly() -> None:
+        async with pilot["a1"].control(stop="land") as control:
+            await control.take_off()
+            card = await pilot["a1"].card()
+            stop = control.stop if what == "its own" else anybody["a1"].stop
+            one.agent.background.spawn(stop(), "STOP")
+            if what == "a flight":
+                assert card.latitude_deg is not None
+                assert card.longitude_deg is not None
+                there = {"latitude_deg": card.latitude_deg, "longitude_deg": card.longitude_deg}
+                await control.fly_to(**there, height=20.0)
+            for _ in range(40):
+                if what == "setpoints":
+                    control.send(NORTH)
+                await anyio.sleep(0.05)
+
+    with pytest.raises(GuardRefused, match="STOP was pressed after land was asked for"):
+        await fly()
+    await anyio.sleep(6.0)
+    assert one.height > 1.0
+    assert one.client.holder.number == 0
+
+
 async def test_a_lease_that_is_lost_in_the_landing_of_its_end_is_reported(rig: Rig) -> None:
     """And the task that flew does not count as cancelled by somebody."""
     one, pilot = await rig.aircraft("a1"), await rig.pilot()
