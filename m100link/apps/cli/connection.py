@@ -334,8 +334,10 @@ def doctor(
     Args:
         authority: Also obtain control authority, and give it back at once; only on the ground with
             the motors off. Without this option a terminal asks.
-        report: Write the findings into this file, without secrets, to attach to a question.
+        report: Write the findings into a new file, without secrets, to attach to a question.
     """
+    if report is not None:
+        _check_report(report)
     place = options.place(url or _only_port(options))
     as_json = wants_json(json)
     found = _diagnosed(place, authority=authority, as_json=as_json)
@@ -462,7 +464,7 @@ async def first_contact(
     Args:
         name: Name of the aircraft in the configuration file, which keeps what was found; by default
             the one that was given.
-        report: Write the findings into this file, without secrets, to attach to a question.
+        report: Write the findings into a new file, without secrets, to attach to a question.
     """
     configuration = read_configuration()
     word = url or options.url or os.environ.get("M100LINK_URL") or configuration.default

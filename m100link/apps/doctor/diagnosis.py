@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import AsyncGenerator, Callable
 from contextlib import aclosing
 from dataclasses import replace
@@ -34,12 +35,14 @@ from m100link.errors import (
 from m100link.link import Latency
 from m100link.link.requests import LONGEST_S
 from m100link.link.url import parse_url
-from m100link.protocol.codes import AuthorityCode
+from m100link.protocol.codes import ActivationCode, AuthorityCode
 from m100link.protocol.commands.activation import Credentials, GetVersion, Version
 from m100link.protocol.firmware import PROFILES, FirmwareProfile
 from m100link.protocol.items import BY_RECORD
 from m100link.protocol.records import (
     AccelerationMode,
+    AngularVelocity,
+    Attitude,
     ControlDevice,
     Device,
     FlightPhase,
@@ -47,6 +50,8 @@ from m100link.protocol.records import (
     RcMode,
     RemoteControl,
 )
+from m100link.telemetry.sample import Sample
+from m100link.telemetry.subscription import Newest, Subscription
 
 
 async def diagnose(
@@ -120,6 +125,7 @@ TELEMETRY_S = 1.1
 
 _ACTIVATION_S = 20.0
 _MANY_MISMATCHES = 3
+_TURNED_DEG = 10.0  # from which on an attitude turns
 _ACCELERATION_S = 4.0  # more, in which an aircraft at rest shows its mode at any rate
 _NOT_IN_F = (AuthorityCode.NOT_IN_F, AuthorityCode.NOT_CHANGED)
 
@@ -151,12 +157,15 @@ async def look_at_aircraft(
         yield failed(Stage.VERSION, error)
         return
     stage = Stage.VERSION
+    turns = aircraft.telemetry(Attitude, AngularVelocity, policy=Newest(2000))
     try:
         await asyncio.sleep(TELEMETRY_S)
         version = await aircraft.version()
         yield _version(version, aircraft.link.latency)
         yield _firmware(aircraft, version, is_forced=firmware is not None)
-        yield await _acceleration(aircraft)
+        found = await _acceleration(aircraft)
+        async with turns:
+            yield _at_rest(turns) or found
         stage = Stage.ACTIVATION
         yield await _activation(aircraft, version, credentials)
         stage = Stage.KEY
@@ -315,6 +324,32 @@ async def _acceleration(aircraft: Aircraft) -> Finding:
     return stage.good(words[mode] + ("" if seen else "; forced, and not at rest"), details=details)
 
 
+def _at_rest(turns: Subscription[Sample]) -> Finding | None:
+    """An IMU that does not feel that the attitude moves: the PC assistant's simulator flies it."""
+    first: Attitude | None = None
+    turned = felt = at = 0.0  # degrees; seconds
+    while (sample := turns.get_nowait()) is not None:
+        attitude, rate = sample.get(Attitude), sample.get(AngularVelocity)
+        if attitude is not None:
+            first = first or attitude
+            product = abs(sum(a * b for a, b in zip(first, attitude, strict=True)))
+            turned = max(turned, 2 * math.degrees(math.acos(min(1.0, product))))
+        if rate is not None:
+            felt += math.degrees(math.hypot(*rate)) * (sample.received_at - at if at else 0.0)
+            at = sample.received_at
+    if not at or turned < _TURNED_DEG or felt > turned / 2:
+        return None
+    return Stage.ACCELERATION.doubtful(
+        f"the attitude turned by {turned:.0f}°, of which the gyro felt {felt:.0f}°",
+        (
+            "the PC assistant's simulator flies it on the desk: IMU values are those of the desk",
+            "the telemetry item angular_velocity is broken",
+        ),
+        ("read attitude, velocity and position there, and no IMU: m100link docs simulator-limits",),
+        {"turned_deg": turned, "felt_deg": felt},
+    )
+
+
 async def _activation(
     aircraft: Aircraft, version: Version, credentials: Credentials | None
 ) -> Finding:
@@ -326,6 +361,8 @@ async def _activation(
         except CommandRefused as error:
             # Whose app it is belongs into no report.
             found = failed(Stage.ACTIVATION, error)
+            if error.code == ActivationCode.NEW_DEVICE:
+                found = _asks_for_ever(error)
             return replace(found, seen=found.seen.replace(f" of app {credentials.app_id}", ""))
         return Stage.ACTIVATION.good("for the app that was given")
     if version.is_activated:
@@ -334,6 +371,24 @@ async def _activation(
         "it is not activated: telemetry comes, and no command is obeyed",
         ("nobody activated it since it was switched on",),
         ("m100link activate PORT --app-id ID --key-file FILE", "m100link docs activate"),
+    )
+
+
+def _asks_for_ever(error: CommandRefused) -> Finding:
+    """Code 3 to the end: DJI's server is reached through the phone, by its account."""
+    return Stage.ACTIVATION.failed(
+        f"{error.seen}; so for {_ACTIVATION_S:g} s, and a first activation takes a few",
+        (
+            "the phone at the remote control has no internet",
+            "nobody is logged in to a DJI account in the app, or the account is not the app id's",
+            "the app was opened before the aircraft was switched on",
+        ),
+        (
+            "open a web page on the phone; log in to the app, and open it anew; run this again",
+            "m100link docs activate",
+        ),
+        {"code": error.code},
+        error,
     )
 
 
@@ -416,6 +471,14 @@ def _refused(aircraft: Aircraft, error: AuthorityRefused) -> Finding:
             f"{error.seen}; the mobile app controls the aircraft",
             ("the mobile app holds control",),
             ("let the mobile app release control, and run this again",),
+            {"code": error.code},
+            error,
+        )
+    if error.code == AuthorityCode.NOT_CHANGED and aircraft.firmware.authority_requests > 1:
+        return Stage.AUTHORITY.failed(
+            f"{error.seen}; the switch is in F, and it goes on being in progress",
+            ("the app has flown a mission or holds control, and the switch was not in P since",),
+            ("put the mode switch to P and back to F, and run this again",),
             {"code": error.code},
             error,
         )

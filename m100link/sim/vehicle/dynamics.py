@@ -176,7 +176,10 @@ def read_airframe(name: str) -> Airframe:
                 f"{name}: {key} = {value!r} is no number of an airframe",
                 remedy=f"numbers: {', '.join(RANGES)}",
             )
-    return replace(AIRFRAMES[base], **{key: float(value) for key, value in content.items()})
+    try:
+        return replace(AIRFRAMES[base], **{key: float(value) for key, value in content.items()})
+    except UsageError as error:
+        raise UsageError(f"{name}: {error.seen}", remedy=error.remedy) from None
 
 
 # -- dynamics --------------------------------------------------------------------------------------

@@ -316,6 +316,15 @@ def test_what_cannot_be_measured_is_refused(cli: CommandLine, wrong: tuple[str, 
 # -- the first hour with an aircraft --------------------------------------------------------------
 
 
+def test_a_report_of_the_doctor_overwrites_nothing(cli: CommandLine, tmp_path: Path) -> None:
+    old = tmp_path / "report.json"
+    old.write_text("{}", encoding="utf-8")
+    outcome = cli("doctor", "sim://", "--report", str(old))
+    assert (outcome.status, outcome.out) == (2, "")
+    assert "is there already" in outcome.err.replace("\n", " ")
+    assert old.read_text(encoding="utf-8") == "{}"
+
+
 def test_a_first_contact_asks_reports_and_is_remembered(
     cli: CommandLine,
     monkeypatch: pytest.MonkeyPatch,

@@ -123,10 +123,11 @@ class Bench:
     Attributes:
         machine: What the machine shows of itself; a test writes it.
         port: A terminal that exists.
+        patch: Changes modules until the set-up is whole again.
     """
 
     def __init__(self, patch: pytest.MonkeyPatch, machine: FakeMachine, port: str) -> None:
-        self._patch = patch
+        self.patch = patch
         self.machine, self.port = machine, port
 
     def order(self, *orders: str, at: float = 0.0, make: Any = aircraft_of) -> None:
@@ -141,7 +142,7 @@ class Bench:
                     perform(aircraft, order)
             return aircraft
 
-        self._patch.setattr("m100link.sim.ports.driver.aircraft_of", made)
+        self.patch.setattr("m100link.sim.ports.driver.aircraft_of", made)
 
     def speak(
         self,
@@ -163,16 +164,16 @@ class Bench:
                 asyncio.get_running_loop().call_later(0.01, speaker.close)
             return transport
 
-        self._patch.setattr("m100link.apps.doctor.port.open_transport", open_transport)
+        self.patch.setattr("m100link.apps.doctor.port.open_transport", open_transport)
 
     def forbid(self, group: str, *, is_member: bool = False) -> None:
         """Take the permission to open the port."""
         refused = Permission("crw-rw----", "root", group, is_granted=False, is_member=is_member)
-        self._patch.setattr(self.machine, "permission", lambda _: refused)
+        self.patch.setattr(self.machine, "permission", lambda _: refused)
 
     def give_to(self, process: Process) -> None:
         """Have another program open it."""
-        self._patch.setattr(self.machine, "holders", lambda _: (process,))
+        self.patch.setattr(self.machine, "holders", lambda _: (process,))
 
 
 def garbled(data: bytes) -> bytes:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import fcntl
+import math
 import os
 import re
 import sys
@@ -24,9 +25,13 @@ from m100link import Credentials
 from m100link.apps.cli.connection import exit_status
 from m100link.apps.doctor import Report, Stage, diagnose
 from m100link.apps.doctor.machine import Process
+from m100link.protocol.codes import AuthorityCode
 from m100link.protocol.commands.activation import GetVersion
 from m100link.protocol.firmware import FIRMWARE_1_0
 from m100link.sim import DEMO_APP_ID, DEMO_KEY, VirtualAircraft, VirtualClockEventLoop
+from m100link.sim.vehicle.authority import ControlArbiter
+from m100link.sim.vehicle.dynamics import STEPS_PER_SECOND
+from m100link.sim.vehicle.sensors import Sensors
 from m100link.wire.frame import encode_frame
 from tests.apps.doctor.bench import CONSOLE, GPS, TELEMETRY, Bench, FakeMachine, mavlink
 
@@ -80,6 +85,21 @@ def _lock(bench: Bench) -> None:
 def _unknown(bench: Bench) -> None:
     profile = replace(FIRMWARE_1_0, version_name="SDK-v9.9 BETA M999-09.09.09.09")
     bench.order(make=lambda _: VirtualAircraft(firmware=profile, seed=1))
+
+
+def _simulate(bench: Bench) -> None:
+    """As DJI's PC simulator: the nose turns by 20° a second, and the IMU stands on the desk."""
+
+    def turn(self: Sensors) -> tuple[float, ...]:
+        half = math.radians(20.0 * self.ticks / STEPS_PER_SECOND) / 2
+        return math.cos(half), 0.0, 0.0, math.sin(half)
+
+    bench.patch.setattr(Sensors, "_read_quaternion", turn)
+
+
+def _hold(bench: Bench) -> None:
+    """As owners of firmware 3.1 report it once the app has flown a mission."""
+    bench.patch.setattr(ControlArbiter, "_obtain", lambda _: AuthorityCode.NOT_CHANGED)
 
 
 def _order(*orders: str, at: float = 0.0) -> Callable[[Bench], None]:
@@ -350,6 +370,11 @@ _AIRCRAFT = (
         arguments={"acceleration": "fused"},
     ),
     SetUp(
+        "the simulator of the PC assistant flies it",
+        *(None, "", "", 0, "sim://?firmware=3.1", _simulate, APP),
+        doubts=(Stage.ACCELERATION,),
+    ),
+    SetUp(
         "nobody has activated it",
         *(Stage.ACTIVATION, "it is not activated", "nobody activated it", 5, "sim://"),
     ),
@@ -367,6 +392,11 @@ _AIRCRAFT = (
             5,
         ),
         *("sim://", _order("app internet=off"), APP),
+    ),
+    SetUp(
+        "it asks DJI's server for ever",
+        *(Stage.ACTIVATION, "so for 20 s", "the phone at the remote control has no internet", 5),
+        *("sim://?firmware=3.1&server-delay=1000", lambda bench: None, APP),
     ),
     SetUp(
         "the app id is not registered",
@@ -414,6 +444,11 @@ _AIRCRAFT = (
         *(Stage.AUTHORITY, "the mobile app controls", "the mobile app holds control", 6),
         *("sim://?firmware=3.1", _order("app-takes-control", "rates control_device=10")),
         *(APP, {"authority": True}),
+    ),
+    SetUp(
+        "the app has flown a mission, and the switch was not in P since",
+        *(Stage.AUTHORITY, "goes on being in progress", "the app has flown a mission", 6),
+        *("sim://?firmware=3.1", _hold, APP, {"authority": True}),
     ),
     SetUp("nothing", None, url="sim://?seed=1", app=APP, arguments={"authority": True}),
 )

@@ -7,6 +7,7 @@ pseudo-terminal in tests/apps/cli/test_connection.py.
 from __future__ import annotations
 
 import json
+import math
 import random
 import re
 from collections.abc import Callable
@@ -27,9 +28,10 @@ from m100link.protocol.firmware import PROFILES
 from m100link.sim import DEMO_APP_ID, DEMO_KEY, VirtualAircraft
 from m100link.sim.orders import perform
 from m100link.sim.ports.driver import aircraft_of
+from m100link.sim.vehicle.sensors import Sensors
 from m100link.wire.frame import encode_frame
 from tests.apps.doctor.bench import Bench, FakeMachine
-from tests.apps.doctor.setups import APP, OTHER_APP, SET_UPS, diagnosed, rows
+from tests.apps.doctor.setups import APP, OTHER_APP, SET_UPS, diagnosed, on_bench, rows
 
 pytestmark = pytest.mark.anyio
 
@@ -76,6 +78,20 @@ def test_every_stage_that_can_fail_has_a_set_up_or_a_test_of_its_own() -> None:
 async def test_the_table_of_the_manual_is_what_they_say() -> None:
     written = MANUAL.read_text(encoding="utf-8").splitlines()
     assert [line for line in written if line.startswith("|")] == await rows()
+
+
+@pytest.mark.parametrize(
+    ("felt_deg_s", "is_named"), [(0.0, True), (5.0, True), (14.0, False), (20.0, False)]
+)
+async def test_an_imu_that_feels_the_attitude_turn_is_none_of_a_simulator(
+    monkeypatch: pytest.MonkeyPatch, felt_deg_s: float, is_named: bool
+) -> None:
+    """The nose turns by 20° a second."""
+    with on_bench(SET_UPS["the simulator of the PC assistant flies it"]):
+        gyro = (0.0, 0.0, math.radians(felt_deg_s))
+        monkeypatch.setattr(Sensors, "_read_angular_velocity", lambda _: gyro)
+        report = await diagnose("sim://?firmware=3.1", credentials=APP)
+    assert (Stage.ACCELERATION in [one.stage for one in report.doubts]) is is_named
 
 
 async def test_it_is_reported_stage_by_stage_and_ends_with_the_first_failure() -> None:

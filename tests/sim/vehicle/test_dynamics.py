@@ -501,7 +501,8 @@ def test_a_file_names_numbers_of_an_airframe_and_its_base(tmp_path: Path) -> Non
 def test_a_file_that_is_no_airframe_is_refused(text: str, seen: str, tmp_path: Path) -> None:
     file = tmp_path / "bad.toml"
     file.write_bytes(text.encode(errors="surrogateescape"))
-    with pytest.raises(UsageError, match=re.escape(seen)):
+    with pytest.raises(UsageError, match=re.escape(seen)) as caught:
         read_airframe(str(file))
+    assert str(file) in caught.value.seen
     with pytest.raises(UsageError, match="no airframe"):
         read_airframe(str(tmp_path / "missing"))
