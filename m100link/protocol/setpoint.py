@@ -136,6 +136,14 @@ VERTICAL_LIMITS = {
 }
 YAW_LIMITS = {Yaw.ANGLE: _Range(-180, 180, "°"), Yaw.RATE: _Range(-100, 100, "°/s")}
 
+
+def tilt_range(profile: FirmwareProfile) -> _Range:
+    """Roll and pitch that a firmware takes, °."""
+    if profile.generation < Generation.V3_1:
+        return _Range(-TILT_LIMIT_DEG, TILT_LIMIT_DEG, "°")
+    return LIMITS[Horizontal.TILT]
+
+
 # The arguments of the constructors; tilt has one pair in both frames.
 _HORIZONTAL_NAMES = {
     (horizontal, frame): names
@@ -465,11 +473,9 @@ class ReceivedMove(NamedTuple):
         """
         if not all(map(math.isfinite, self[1:5])):
             return Setpoint(*self)  # which names the value
-        is_tilt = self.mode.horizontal is Horizontal.TILT
-        low, high, unit = LIMITS[self.mode.horizontal]
-        if is_tilt and profile.generation < Generation.V3_1:
-            low, high = -TILT_LIMIT_DEG, TILT_LIMIT_DEG
-        flat = _Range(low, high, unit)
+        flat = LIMITS[self.mode.horizontal]
+        if self.mode.horizontal is Horizontal.TILT:
+            flat = tilt_range(profile)
         x, y = flat.nearest(self.x), flat.nearest(self.y)
         is_height = self.mode.vertical is Vertical.HEIGHT
         z = self.z if is_height else VERTICAL_LIMITS[self.mode.vertical].nearest(self.z)

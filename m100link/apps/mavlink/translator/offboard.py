@@ -13,8 +13,9 @@ from dataclasses import dataclass
 from m100link.apps.mavlink.translator.codec import MavlinkMessage
 from m100link.apps.mavlink.translator.numbers import MavFrame
 from m100link.apps.mavlink.translator.vehicle_state import VehicleState
+from m100link.protocol.firmware import FIRMWARE_1_0, PROFILES
 from m100link.protocol.records import Attitude, Position
-from m100link.protocol.setpoint import Setpoint
+from m100link.protocol.setpoint import Setpoint, tilt_range
 
 _PLACE, _HEIGHT = 0b11, 0b100
 _SPEED, _CLIMB = 0b11000, 0b100000
@@ -27,7 +28,7 @@ _GAIN = 0.8  # metres per second for each metre that is missing
 _HOVER, _FULL = 0.5, 0.5
 """Thrust that hovers, and what is above it: PX4's thrust is read as a climb rate."""
 
-_MOST_TILT, _MOST_TURN = 30.0, 100.0
+_MOST_TURN = 100.0
 _UP_M = 0.5
 _CLIMB_M_S = 0.1
 
@@ -147,7 +148,9 @@ class Offboard:
         yaw_deg, yaw_rate = target.yaw_deg, target.yaw_rate
         yaw_rate = _limited(yaw_rate or 0.0, _MOST_TURN) if yaw_deg is None else None
         if target.tilt is not None:
-            roll, pitch = (_limited(one, _MOST_TILT) for one in target.tilt)
+            firmware = self._world.known.view.state.firmware
+            limits = tilt_range(PROFILES.get(firmware, FIRMWARE_1_0))
+            roll, pitch = map(limits.nearest, target.tilt)
             return Setpoint.tilt(
                 roll_deg=roll, pitch_deg=pitch, up=climb, yaw_deg=yaw_deg, yaw_rate_deg_s=yaw_rate
             )

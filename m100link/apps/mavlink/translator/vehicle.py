@@ -46,7 +46,9 @@ _PROGRESS_S = 0.3
 _UNKNOWN_PROGRESS = 255
 _VENDOR, _PRODUCT = 0x2CA3, 0x0100  # DJI's number at the USB forum; the product is ours
 _TO_ALL = (0, COMPONENT)
-_AHEAD_S = 1.8  # so far ahead the fence is looked at: at a tilt of 30 degrees it needs them to stop
+# So far ahead the fence is looked at, s, and by so much more per m/s: it needs them to stop, from
+# 25 m/s at a tilt of 35 degrees, too.
+_AHEAD_S, _AHEAD_S2_M = 1.9, 0.042
 _AWAY_M = 0.3  # so far it may be ordered to move away from the fence while it stands
 
 _FLIGHTS = (FlightSource.FLIGHT, FlightSource.MISSION, FlightSource.PAUSED)
@@ -298,9 +300,11 @@ class MavlinkVehicle:
             self.manager.hold("hold: the distance to the fence is unknown")
             return
         here = position.latitude_deg, position.longitude_deg
-        late = _AHEAD_S + max(view.age(one) or 0.0 for one in (Position, Velocity))
+        speed = complex(velocity.north_m_s, velocity.east_m_s)
+        late = _AHEAD_S + _AHEAD_S2_M * abs(speed)
+        late += max(view.age(one) or 0.0 for one in (Position, Velocity))
         late += self.world.known.state.round_trip or 0.0  # what is seen is old, and a hold is late
-        way = complex(velocity.north_m_s, velocity.east_m_s) * late
+        way = speed * late
         ahead = self._ahead(LocalFrame(*here), way)
         depth, least = fence.depth_m(*here), self._breach_m
         if not depth:

@@ -7,6 +7,7 @@ Bits of the mask say what is to be ignored: x 1, y 2, z 4, vx 8, vy 16, vz 32, a
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -193,6 +194,16 @@ def test_an_attitude_is_a_tilt_a_climb_and_a_heading(given: MavlinkMessage, expe
     found = flown(offboard(), given)
     assert values(found) == pytest.approx(expected, abs=1e-6)
     assert found.mode == Setpoint.tilt(roll_deg=0.0, pitch_deg=0.0, up=0.0, yaw_deg=0.0).mode
+
+
+@pytest.mark.parametrize(
+    ("firmware", "most"), [("", 30.0), ("1.0", 30.0), ("2.3", 30.0), ("3.1", 35.0)]
+)
+def test_a_tilt_ends_where_the_firmware_has_it(firmware: str, most: float) -> None:
+    known = Known()
+    known.state = replace(known.state, firmware=firmware)
+    found = flown(offboard(known), attitude(50.0, -40.0, 0.0))
+    assert (found.x, found.y) == (most, -most)
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
