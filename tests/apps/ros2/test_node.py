@@ -7,6 +7,7 @@ import math
 import os
 import sys
 from collections.abc import Awaitable, Callable
+from dataclasses import replace
 from functools import partial
 from random import Random
 from typing import Any
@@ -25,6 +26,7 @@ from m100link.apps.ros2.graph import EntityKind, Names, NodeName, data_key, read
 from m100link.apps.ros2.topics import INPUTS, OUTPUTS, SERVICES
 from m100link.errors import M100Error, TaskRefused
 from m100link.log.cdr import encode
+from m100link.protocol.records import AccelerationMode
 from m100link.protocol.setpoint import Setpoint
 from tests.apps.ros2.conftest import Program, Rig
 from tests.apps.ros2.test_actions import Client
@@ -42,6 +44,44 @@ async def test_up_along_and_down_again(firmware: str) -> None:
         assert (await program.call("~/land"))["success"]
         await rig.until(lambda: not rig.motors_on)
         await rig.until(lambda: not rig.client.holder.number)
+
+
+@pytest.mark.parametrize("mode", AccelerationMode)
+async def test_the_imu_is_right_whatever_the_pc_assistant_sends(mode: AccelerationMode) -> None:
+    """Against the specific force of the body: on the ground, flying off at 5 m/s, and hovering."""
+    one = Rig(firmware="3.1")
+    arbiter = one.aircraft.vehicle.authority
+    arbiter.assistant = replace(arbiter.assistant, acceleration=mode)
+    felt: dict[int, tuple[float, float, float]] = {}  # by hundredths of a second
+
+    async def feel() -> None:
+        while True:
+            forward, right, down = one.aircraft.vehicle.sensors._specific_force()
+            felt[round(one.utc() * 100)] = forward, -right, -down
+            await anyio.sleep(0.01)
+
+    async with one.running() as rig:
+        await anyio.sleep(3.0)  # at rest, until the mode is known
+        rig.outlet("~/imu").sent.clear()
+        watching = asyncio.ensure_future(feel())
+        await rig.program.up()
+        await rig.program.fly(2.0, 5.0)
+        await anyio.sleep(2.0)
+        watching.cancel()
+        said = rig.said("~/imu")
+    assert len(said) > 400
+    axes = []
+    for message in said:
+        at, found = message["header"]["stamp"], message["linear_acceleration"]
+        axes.append((found["x"], found["y"], found["z"]))
+        now = round(at["sec"] * 100 + at["nanosec"] / 1e7)
+        near = [felt[one] for one in (now - 1, now, now + 1) if one in felt]
+        assert not near or min(math.dist(axes[-1], one) for one in near) < 0.05
+    forward, left, up = zip(*axes, strict=True)
+    assert up[0] == pytest.approx(9.81, abs=0.15)
+    assert max(up) > 10.5  # of the propellers, and along their axis alone
+    assert min(forward) == pytest.approx(-0.6, abs=0.1)  # 5 m/s at a drag of 0.12 /s
+    assert max(map(abs, left)) < 0.1
 
 
 async def test_all_that_is_offered_has_a_token(rig: Rig) -> None:
