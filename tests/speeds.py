@@ -148,7 +148,8 @@ class Clock:
         before = self._work_s
         if seconds > MEASURED_S:
             self._work_s = work()
-        return seconds * WORK_S / ((before + self._work_s) / 2)
+        # Nothing at all, where a limit of the processor's time makes its clock tick too seldom.
+        return seconds * WORK_S / ((before + self._work_s) / 2 or WORK_S)
 
 
 def processor_time() -> float:

@@ -211,6 +211,15 @@ def test_a_watch_of_the_machine_outlives_a_lack_of_descriptors(
         assert machine.is_alive()
 
 
+def test_a_clock_that_does_not_tick_during_the_work_leaves_a_cost_as_it_is(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """As under a limit of the processor's time."""
+    monkeypatch.setattr(speeds, "work", lambda: 0.0)
+    monkeypatch.setattr(speeds.CLOCK, "_work_s", 0.0)
+    assert speeds.CLOCK.quiet(2.0) == 2.0
+
+
 def test_the_list_has_functions_with_their_seconds() -> None:
     assert speeds.slow()
     assert all("[" not in function for function in speeds.slow())
