@@ -171,33 +171,30 @@ _RESUME = Left("the mission may still be paused, or fly on", _END)
 _STOP = Left("it stops if the order arrived", f"{_SEE}, m100link fleet mission stop {{name}} again")
 
 
-def _ordering(
+async def _ordering(
     name: str,
     options: FleetOptions,
     left: Left,
     do: Callable[[MissionOrders, FleetAircraft], Awaitable[str | None]],
     done: str = "",  # the report when the order itself gives none
 ) -> int:
-    async def run() -> int:
-        fence, token = borrowed(options.site, name)
-        async with options.open() as fleet:
-            aircraft = fleet[name]
-            asker = aircraft.asker
-            await asker.ask(AskVersion())  # its clock says how old an order is
+    fence, token = borrowed(options.site, name)
+    async with options.open() as fleet:
+        aircraft = fleet[name]
+        asker = aircraft.asker
+        await asker.ask(AskVersion())  # its clock says how old an order is
 
-            async def ask(order: Order) -> OrderReply:
-                return await asker.ask(order, fence=fence, token=token)
+        async def ask(order: Order) -> OrderReply:
+            return await asker.ask(order, fence=fence, token=token)
 
-            with reported_when_interrupted(name, left):
-                text = await do(MissionOrders(ask), aircraft) or done
-        facts = {"name": name, "outcome": "ok", "told": text}
-        return tell(facts, f"{name}: {text}", as_json=options.json_output)
-
-    return run_async(run())
+        with reported_when_interrupted(name, left):
+            text = await do(MissionOrders(ask), aircraft) or done
+    facts = {"name": name, "outcome": "ok", "told": text}
+    return tell(facts, f"{name}: {text}", as_json=options.json_output)
 
 
 @missions.command
-def upload(
+async def upload(
     name: Name,
     plan: File,
     /,
@@ -216,11 +213,11 @@ def upload(
         digest = await orders.upload(found)
         return f"{len(found.waypoints)} waypoints are on board: {digest[:16]}"
 
-    return _ordering(name, options, _UPLOAD, do)
+    return await _ordering(name, options, _UPLOAD, do)
 
 
 @missions.command
-def start(
+async def start(
     name: Name,
     plan: File,
     /,
@@ -241,53 +238,45 @@ def start(
         await orders.start(UploadPlan.of(found).digest, take_off=take_off)
         return f"the mission of {len(found.waypoints)} waypoints flies"
 
-    return _ordering(name, options, _START, do)
+    return await _ordering(name, options, _START, do)
 
 
 @missions.command
-def pause(name: Name, /, *, options: FleetOptions = NO_OPTIONS) -> int:
+async def pause(name: Name, /, *, options: FleetOptions = NO_OPTIONS) -> int:
     """Pause the mission in flight; the aircraft hovers."""
-    return _ordering(name, options, _PAUSE, lambda orders, _: orders.pause(), "paused")
+    return await _ordering(name, options, _PAUSE, lambda orders, _: orders.pause(), "paused")
 
 
 @missions.command
-def resume(name: Name, /, *, options: FleetOptions = NO_OPTIONS) -> int:
+async def resume(name: Name, /, *, options: FleetOptions = NO_OPTIONS) -> int:
     """Resume a paused mission."""
-    return _ordering(name, options, _RESUME, lambda orders, _: orders.resume(), "it goes on")
+    return await _ordering(name, options, _RESUME, lambda orders, _: orders.resume(), "it goes on")
 
 
 # -- without a lease -------------------------------------------------------------------------------
 
 
 @missions.command
-def stop(name: Name, /, *, options: FleetOptions = NO_OPTIONS) -> int:
+async def stop(name: Name, /, *, options: FleetOptions = NO_OPTIONS) -> int:
     """Stop any mission, also one that somebody else started; the aircraft hovers. Needs no lease.
 
     Args:
         name: Name of the aircraft.
     """
-
-    async def run() -> int:
-        async with options.open() as fleet:
-            with reported_when_interrupted(name, _STOP):
-                await fleet[name].stop()
-        facts = {"name": name, "outcome": "ok"}
-        return tell(facts, f"{name}: stopped", as_json=options.json_output)
-
-    return run_async(run())
+    async with options.open() as fleet:
+        with reported_when_interrupted(name, _STOP):
+            await fleet[name].stop()
+    facts = {"name": name, "outcome": "ok"}
+    return tell(facts, f"{name}: stopped", as_json=options.json_output)
 
 
 @missions.command
-def progress(name: Name, /, *, options: FleetOptions = NO_OPTIONS) -> int:
+async def progress(name: Name, /, *, options: FleetOptions = NO_OPTIONS) -> int:
     """Show the progress of the mission."""
-
-    async def run() -> int:
-        async with options.open() as fleet:
-            card = await fleet[name].mission()
-        facts = asdict(card) | {"stage": card.stage.value, "reached": list(card.reached)}
-        return tell(facts, f"{name}: {_progress(card)}", as_json=options.json_output)
-
-    return run_async(run())
+    async with options.open() as fleet:
+        card = await fleet[name].mission()
+    facts = asdict(card) | {"stage": card.stage.value, "reached": list(card.reached)}
+    return tell(facts, f"{name}: {_progress(card)}", as_json=options.json_output)
 
 
 def _progress(card: MissionCard) -> str:

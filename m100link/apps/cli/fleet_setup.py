@@ -18,7 +18,7 @@ from cyclopts import Parameter
 
 from m100link.apps.agent.messages import JOURNAL_LOG
 from m100link.apps.agent.orders import Right
-from m100link.apps.cli.common import Ended, err, layer_of_settings, run_async
+from m100link.apps.cli.common import Ended, err, layer_of_settings
 from m100link.apps.cli.fleet import (
     NO_OPTIONS,
     ROUTER,
@@ -93,7 +93,7 @@ class AgentOptions(_FromSettings):  # type: ignore[misc] # a class that is made 
     run: RunOptions = AS_USUAL
 
 
-def router(
+async def router(
     *,
     listen: tuple[str, ...] = (ROUTER,),
     connect: tuple[str, ...] = (),
@@ -102,7 +102,7 @@ def router(
     rights: Path | None = None,
     json_output: Json = False,
     log: LogOptions = AS_IT_IS,
-) -> int:
+) -> None:
     """Run the router that agents and operators connect to, until Ctrl-C. A zenohd works, too.
 
     Everybody who reaches it can fly every aircraft behind it: let it listen on loopback, in a
@@ -134,17 +134,13 @@ def router(
         options["access_control"] = json.dumps(
             router_config(Rights.read(rights).without(revoked.names))
         )
-
-    async def run() -> None:
-        ended = Ended()
-        async with open_fleet("router", listen=listen, connect=connect, options=options):
-            tell({"listen": list(listen)}, f"router: {', '.join(listen)}", as_json=json_output)
-            await ended.wait()
-
-    return run_async(run())
+    ended = Ended()
+    async with open_fleet("router", listen=listen, connect=connect, options=options):
+        tell({"listen": list(listen)}, f"router: {', '.join(listen)}", as_json=json_output)
+        await ended.wait()
 
 
-def agent(
+async def agent(
     *url: Urls,
     name: str = "a1",
     count: Annotated[int, Counted] = 1,
@@ -200,7 +196,7 @@ def agent(
         fleet = replace(fleet, options=tls_options(pki, name))
     if rights is not None:
         fleet = replace(fleet, **_checking(Rights.read(rights), aircraft, pki))
-    return run_async(_serve(aircraft, fleet, options.run))
+    return await _serve(aircraft, fleet, options.run)
 
 
 def _checking(rights: Rights, names: Iterable[str], pki: Path | None) -> dict[str, Any]:
@@ -237,7 +233,7 @@ class AccessOptions(
     """The access to the page."""
 
 
-def console(
+async def console(
     *names: Names,
     options: FleetOptions = NO_OPTIONS,
     page: PageOptions = IN_BROWSER,
@@ -255,7 +251,7 @@ def console(
     given = {name: value for name, value in asked.items() if name in known and value != ()}
     settings = resolve(given, os.environ)
     require_packages()
-    return run_async(_serve_console(names, options, settings, is_opened=page.open_browser))
+    return await _serve_console(names, options, settings, is_opened=page.open_browser)
 
 
 async def _serve_console(
@@ -371,7 +367,7 @@ def list_(*, folder: Path = Path(), json: AsJson = None) -> int:
 
 
 @pki.command
-def push(
+async def push(
     *names: Names,
     everybody: All = False,
     folder: Path | None = None,
@@ -394,12 +390,8 @@ def push(
             f"{place} cannot be read: {error.strerror}",
             remedy="m100link fleet pki revoke writes it",
         ) from error
-
-    async def run() -> int:
-        pushed = results_of(names, everybody, options, lambda one: bring(one.bus, one.keys, data))
-        return tell_results(await pushed, options)
-
-    return run_async(run())
+    pushed = results_of(names, everybody, options, lambda one: bring(one.bus, one.keys, data))
+    return tell_results(await pushed, options)
 
 
 def _tell(made: Issued, json: bool | None) -> int:

@@ -10,7 +10,7 @@ from typing import Annotated
 from cyclopts import Parameter
 from rich.table import Table
 
-from m100link.apps.cli.common import err, out, run_async
+from m100link.apps.cli.common import err, out
 from m100link.apps.cli.fleet import (
     NO_OPTIONS,
     All,
@@ -41,24 +41,20 @@ app = group(
 
 
 @app.command(name="list")
-def list_(*, options: FleetOptions = NO_OPTIONS) -> int:
+async def list_(*, options: FleetOptions = NO_OPTIONS) -> None:
     """List the aircraft that are present: the state of each, and who has control."""
-
-    async def run() -> None:
-        async with options.open() as fleet:
-            names, cards = await fleet.names(), await fleet.cards()
-        # An agent of an older release shows another token, but publishes its state all the same.
-        names = in_order({*names, *cards})
-        if options.json_output:
-            for name in names:
-                print_json(asdict(cards[name]) if name in cards else {"name": name})
-            return
-        if not names:
-            err.print(f"there is no agent at site {options.site}")
-        else:
-            out.print(_table(names, cards))
-
-    return run_async(run())
+    async with options.open() as fleet:
+        names, cards = await fleet.names(), await fleet.cards()
+    # An agent of an older release shows another token, but publishes its state all the same.
+    names = in_order({*names, *cards})
+    if options.json_output:
+        for name in names:
+            print_json(asdict(cards[name]) if name in cards else {"name": name})
+        return
+    if not names:
+        err.print(f"there is no agent at site {options.site}")
+    else:
+        out.print(_table(names, cards))
 
 
 def _table(names: list[str], cards: dict[str, Card]) -> Table:
@@ -101,7 +97,7 @@ _GOTO = Left(
 )
 
 
-def _each(
+async def _each(
     names: tuple[str, ...],
     everybody: bool,
     options: FleetOptions,
@@ -109,38 +105,34 @@ def _each(
     left: Left,
 ) -> int:
     begun = Begun(do, left)
-
-    async def run() -> int:
-        try:
-            return tell_results(await results_of(names, everybody, options, begun), options)
-        except asyncio.CancelledError:
-            if begun.results:
-                tell_results(begun.results, options)
-            raise
-
-    return run_async(run())
+    try:
+        return tell_results(await results_of(names, everybody, options, begun), options)
+    except asyncio.CancelledError:
+        if begun.results:
+            tell_results(begun.results, options)
+        raise
 
 
 @app.command
-def takeoff(*names: Names, everybody: All = False, options: FleetOptions = NO_OPTIONS) -> int:
+async def takeoff(*names: Names, everybody: All = False, options: FleetOptions = NO_OPTIONS) -> int:
     """Let aircraft take off, all at once; each hovers at about 1.2 m, and control goes back."""
-    return _each(names, everybody, options, FleetAircraft.take_off, _TAKE_OFF)
+    return await _each(names, everybody, options, FleetAircraft.take_off, _TAKE_OFF)
 
 
 @app.command
-def land(*names: Names, everybody: All = False, options: FleetOptions = NO_OPTIONS) -> int:
+async def land(*names: Names, everybody: All = False, options: FleetOptions = NO_OPTIONS) -> int:
     """Land aircraft, all at once, without a question, even while others control them."""
-    return _each(names, everybody, options, FleetAircraft.land, _LANDING)
+    return await _each(names, everybody, options, FleetAircraft.land, _LANDING)
 
 
 @app.command
-def stop(*names: Names, everybody: All = False, options: FleetOptions = NO_OPTIONS) -> int:
+async def stop(*names: Names, everybody: All = False, options: FleetOptions = NO_OPTIONS) -> int:
     """Stop aircraft, all at once, even while others control them: each hovers."""
-    return _each(names, everybody, options, FleetAircraft.stop, _STOP)
+    return await _each(names, everybody, options, FleetAircraft.stop, _STOP)
 
 
 @app.command
-def goto(
+async def goto(
     name: Name,
     latitude: Annotated[float, Parameter(allow_leading_hyphen=True)],
     longitude: Annotated[float, Parameter(allow_leading_hyphen=True)],
@@ -165,7 +157,7 @@ def goto(
                 latitude_deg=latitude, longitude_deg=longitude, height=height, speed=speed
             )
 
-    return _each((name,), False, options, fly, _GOTO)
+    return await _each((name,), False, options, fly, _GOTO)
 
 
 # -- in the order of their help --------------------------------------------------------------------

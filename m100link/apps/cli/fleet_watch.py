@@ -16,7 +16,7 @@ from rich.live import Live
 from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TransferSpeedColumn
 from rich.table import Table
 
-from m100link.apps.cli.common import Ended, err, out, run_async
+from m100link.apps.cli.common import Ended, err, out
 from m100link.apps.cli.fleet import (
     NO_OPTIONS,
     All,
@@ -52,12 +52,12 @@ async def _until(ended: asyncio.Event, seconds: float) -> bool:
     return not ended.is_set()
 
 
-def monitor(
+async def monitor(
     *,
     rate: Annotated[float, Above0] = 2.0,
     duration: AtMost = None,
     options: FleetOptions = NO_OPTIONS,
-) -> int:
+) -> None:
     """Watch all aircraft until Ctrl-C: the newest values of each, and their age.
 
     Agents send each item five times a second for this, or at its own rate if that is lower. With
@@ -66,23 +66,19 @@ def monitor(
     Args:
         rate: Tables drawn per second.
     """
-
-    async def run() -> None:
-        ended = Ended()
-        if duration is not None:
-            asyncio.get_running_loop().call_later(duration, ended.set)
-        async with options.open() as fleet:
-            heard = FleetTelemetry(fleet.bus, fleet.keys)
-            if options.json_output:
-                while await _until(ended, 1.0):
-                    for name in in_order(fleet.present | set(heard.states)):
-                        print_json(_facts(fleet, heard, name))
-                return
-            with Live(console=out, auto_refresh=False) as live:
-                while await _until(ended, 1 / rate):
-                    live.update(_table(fleet, heard), refresh=True)
-
-    return run_async(run())
+    ended = Ended()
+    if duration is not None:
+        asyncio.get_running_loop().call_later(duration, ended.set)
+    async with options.open() as fleet:
+        heard = FleetTelemetry(fleet.bus, fleet.keys)
+        if options.json_output:
+            while await _until(ended, 1.0):
+                for name in in_order(fleet.present | set(heard.states)):
+                    print_json(_facts(fleet, heard, name))
+            return
+        with Live(console=out, auto_refresh=False) as live:
+            while await _until(ended, 1 / rate):
+                live.update(_table(fleet, heard), refresh=True)
 
 
 def _facts(fleet: Fleet, heard: FleetTelemetry, name: str) -> dict[str, Any]:
@@ -125,42 +121,38 @@ def _table(fleet: Fleet, heard: FleetTelemetry) -> Table:
     return table
 
 
-def watch(
+async def watch(
     name: Name,
     /,
     *,
     duration: AtMost = None,
     options: FleetOptions = NO_OPTIONS,
-) -> int:
+) -> None:
     """Print every telemetry package of one aircraft until Ctrl-C: one JSON object for each."""
+    ended = Ended()
+    gone: ReaderGone | None = None
 
-    async def run() -> None:
-        ended = Ended()
-        gone: ReaderGone | None = None
-
-        def tell(_: str, sample: Sample) -> None:
-            nonlocal gone
-            if gone is not None:
-                return
-            try:
-                print_json(_package(sample))
-            except ReaderGone as error:
-                # The subscription that calls this takes no error, and later samples would be lost.
-                gone = error
-                ended.set()
-
-        if duration is not None:
-            asyncio.get_running_loop().call_later(duration, ended.set)
-        async with options.open() as fleet:
-            keys = Keys(fleet.keys.site, name)
-            heard = FleetTelemetry(fleet.bus, keys, full=True, on_sample=tell)
-            await ended.wait()
-            heard.close()
-            err.print(f"{heard.received[name]} packages", markup=False)
+    def tell(_: str, sample: Sample) -> None:
+        nonlocal gone
         if gone is not None:
-            raise gone
+            return
+        try:
+            print_json(_package(sample))
+        except ReaderGone as error:
+            # The subscription that calls this takes no error, and later samples would be lost.
+            gone = error
+            ended.set()
 
-    return run_async(run())
+    if duration is not None:
+        asyncio.get_running_loop().call_later(duration, ended.set)
+    async with options.open() as fleet:
+        keys = Keys(fleet.keys.site, name)
+        heard = FleetTelemetry(fleet.bus, keys, full=True, on_sample=tell)
+        await ended.wait()
+        heard.close()
+        err.print(f"{heard.received[name]} packages", markup=False)
+    if gone is not None:
+        raise gone
 
 
 def _package(sample: Sample) -> dict[str, Any]:
@@ -172,7 +164,9 @@ def _package(sample: Sample) -> dict[str, Any]:
     return values
 
 
-def lease(name: Name, /, *, take_over: bool = False, options: FleetOptions = NO_OPTIONS) -> int:
+async def lease(
+    name: Name, /, *, take_over: bool = False, options: FleetOptions = NO_OPTIONS
+) -> None:
     """Take control of one aircraft and hold it, hovering, until Ctrl-C.
 
     Meanwhile `fleet mission upload` and `start` of the same account act under this lease.
@@ -180,19 +174,15 @@ def lease(name: Name, /, *, take_over: bool = False, options: FleetOptions = NO_
     Args:
         take_over: Take control from its holder, in one step.
     """
-
-    async def run() -> None:
-        ended = Ended()
-        async with options.open() as fleet, fleet[name].control(take_over=take_over) as control:
-            facts = {"name": name, "fence": control.fence}
-            words = f"{name}: lease {control.fence}, until Ctrl-C"
-            tell(facts, words, as_json=options.json_output)
-            with shared(options.site, name, control.proof):
-                await ended.wait()
-                if not options.json_output:
-                    err.print(f"{name}: control goes back: it hovers", markup=False)
-
-    return run_async(run())
+    ended = Ended()
+    async with options.open() as fleet, fleet[name].control(take_over=take_over) as control:
+        facts = {"name": name, "fence": control.fence}
+        words = f"{name}: lease {control.fence}, until Ctrl-C"
+        tell(facts, words, as_json=options.json_output)
+        with shared(options.site, name, control.proof):
+            await ended.wait()
+            if not options.json_output:
+                err.print(f"{name}: control goes back: it hovers", markup=False)
 
 
 # -- ``m100link fleet log``: the flight logs that lie on board -------------------------------------
@@ -208,33 +198,29 @@ def _failures(results: dict[str, Result], options: FleetOptions) -> int:
 
 
 @app.command(name="list")
-def list_(*names: Names, everybody: All = False, options: FleetOptions = NO_OPTIONS) -> int:
+async def list_(*names: Names, everybody: All = False, options: FleetOptions = NO_OPTIONS) -> int:
     """List the flight logs on board, the newest first."""
-
-    async def run() -> int:
-        results = await results_of(names, everybody, options, FleetAircraft.logs)
-        rows = [
-            (name, one)
-            for name, result in sorted(results.items())
-            if isinstance(result.value, list)
-            for one in result.value
-        ]
-        if rows and not options.json_output:
-            say(f"{'name':12} {'log':32} {'size':>9}  last written (UTC)")
-        for name, one in rows:
-            at = time.strftime("%Y-%m-%d %H:%M:%S", time.gmtime(one.at))
-            is_written = ", and still" if one.is_written else ""
-            words = f"{name:12} {one.log:32} {decimal(one.size):>9}  {at}{is_written}"
-            tell({"name": name} | asdict(one), words, as_json=options.json_output)
-        if results and not rows and not options.json_output:
-            err.print("no logs")
-        return _failures(results, options)
-
-    return run_async(run())
+    results = await results_of(names, everybody, options, FleetAircraft.logs)
+    rows = [
+        (name, one)
+        for name, result in sorted(results.items())
+        if isinstance(result.value, list)
+        for one in result.value
+    ]
+    if rows and not options.json_output:
+        say(f"{'name':12} {'log':32} {'size':>9}  last written (UTC)")
+    for name, one in rows:
+        at = time.strftime("%Y-%m-%d %H:%M:%S", time.gmtime(one.at))
+        is_written = ", and still" if one.is_written else ""
+        words = f"{name:12} {one.log:32} {decimal(one.size):>9}  {at}{is_written}"
+        tell({"name": name} | asdict(one), words, as_json=options.json_output)
+    if results and not rows and not options.json_output:
+        err.print("no logs")
+    return _failures(results, options)
 
 
 @app.command
-def fetch(
+async def fetch(
     *names: Names,
     everybody: All = False,
     last: bool = False,
@@ -261,16 +247,13 @@ def fetch(
         shown.done(fetched)
         return fetched
 
-    async def run() -> int:
-        try:
-            with shown.bar:
-                results = await results_of(names, everybody, options, one)
-        except asyncio.CancelledError:
-            shown.interrupted()
-            raise
-        return _failures(results, options)
-
-    return run_async(run())
+    try:
+        with shown.bar:
+            results = await results_of(names, everybody, options, one)
+    except asyncio.CancelledError:
+        shown.interrupted()
+        raise
+    return _failures(results, options)
 
 
 class _Shown:
