@@ -22,6 +22,11 @@ export function place(from, east, north) {
   return [latitude, from[1] + east / (RADIUS_M * Math.cos(radians(from[0]))) * 180 / Math.PI];
 }
 
+// The place so many metres away in a direction, degrees from north.
+export function towards(from, yaw, far) {
+  return place(from, far * Math.sin(radians(yaw)), far * Math.cos(radians(yaw)));
+}
+
 export function bearing(to, from) {
   const [east, north] = metres(to, from);
   return (Math.atan2(east, north) * 180 / Math.PI + 360) % 360;
@@ -184,8 +189,7 @@ export class FlightMap {
     const [, , north, east] = live.vel || [];
     this.vector.setLatLngs(live.pos && Math.hypot(north, east) > 0.2
       ? [at, place(at, east * AHEAD_S, north * AHEAD_S)] : []);
-    const yaw = live.att && radians(live.att[2]), far = 0.12 * this.span();
-    this.nose.setLatLngs(live.pos && live.att ? [at, place(at, far * Math.sin(yaw), far * Math.cos(yaw))] : []);
+    this.nose.setLatLngs(live.pos && live.att ? [at, towards(at, live.att[2], 0.12 * this.span())] : []);
   }
 
   // Metres across what is seen.

@@ -1,6 +1,6 @@
 // What is laid over the map: where somebody pointed, the plan that is drawn, and the other aircraft.
 
-import {metres, place as placeAt, bearing} from "./map.js";
+import {metres, towards, bearing} from "./map.js";
 import {m100} from "./shell.js";
 
 const emit = (name, value) => window.emitEvent(name, value);
@@ -8,6 +8,7 @@ const emit = (name, value) => window.emitEvent(name, value);
 // -- what was pointed at, and what flies to where somebody pointed ------------------------------
 
 const AHEAD_M = 30;  // of the line that shows a heading
+const ahead = (from, yaw) => towards(from, yaw, AHEAD_M);
 
 let layers = null;
 let drawn = {};
@@ -88,17 +89,9 @@ function redraw(map) {
 
 function showHandles(map) {
   const {place, radius, yaw} = drawn.handles ? drawn.pointed || {} : {};
-  const angle = handleAt * Math.PI / 180;
-  show(map, layers.radius, place && radius && (() => layers.radius.setLatLng(
-    placeAt(place, radius * Math.sin(angle), radius * Math.cos(angle)))));
+  show(map, layers.radius, place && radius && (() => layers.radius.setLatLng(towards(place, handleAt, radius))));
   const from = map.position?.slice(0, 2), turns = yaw !== null && yaw !== undefined;
   show(map, layers.yaw, from && !place && turns && (() => layers.yaw.setLatLng(ahead(from, yaw))));
-}
-
-function ahead([latitude, longitude], yaw) {
-  const angle = yaw * Math.PI / 180, metre = 180 / Math.PI / 6378137;
-  const north = AHEAD_M * Math.cos(angle), east = AHEAD_M * Math.sin(angle);
-  return [latitude + north * metre, longitude + east * metre / Math.cos(latitude * Math.PI / 180)];
 }
 
 function show(map, layer, set) {
