@@ -20,7 +20,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from m100link.sim.vehicle.authority import ControlArbiter
 
 from m100link import Credentials
 from m100link.apps.cli.connection import exit_status
@@ -31,6 +30,7 @@ from m100link.protocol.commands.activation import GetVersion
 from m100link.protocol.firmware import FIRMWARE_1_0
 from m100link.sim import DEMO_APP_ID, DEMO_KEY, VirtualAircraft, VirtualClockEventLoop
 from m100link.sim.vehicle.dynamics import STEPS_PER_SECOND
+from m100link.sim.vehicle.remote import ControlArbiter
 from m100link.sim.vehicle.sensors import Sensors
 from m100link.wire.frame import encode_frame
 from tests.apps.doctor.bench import CONSOLE, GPS, TELEMETRY, Bench, FakeMachine, mavlink
