@@ -82,6 +82,7 @@ class TrackExecutor:
         self._rest: conflicts.RestOfTrack | None = None
         # When its show begins, by the agent's clock; None before that is known.
         self._start_at: float | None = None
+        self._placed_at = 0.0  # when its flight was asked for, s: a STOP since then ends it
         self._leave = "land"
         self._control = ControlSession(client, f"show of {name}")
         self._control.on_refused = self._steer_refused
@@ -181,7 +182,7 @@ class TrackExecutor:
         self._require(TakePlace, "place")
         TrackSteering(self._loaded(), self._fastest).require_fast_enough()
         self.heard()
-        self.stage = ShowStage.PLACING
+        self.stage, self._placed_at = ShowStage.PLACING, asked_at
         self._do(lambda: self._place(who, asked_at))
 
     def start(self, digest: str, start_at: float, bound: float) -> None:
@@ -382,7 +383,7 @@ class TrackExecutor:
         if self._leave == "land" and control.has_control:
             try:
                 async with control.kept():
-                    await control.bring_down(orders.Land(), self._client.asked_at)
+                    await control.bring_down(orders.Land(), self._placed_at)
             except M100Error as error:
                 self.fault = self.fault or error
                 self._client.note(f"show: {error.seen}", "error")

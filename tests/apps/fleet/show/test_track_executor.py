@@ -414,6 +414,21 @@ async def test_a_stop_that_is_not_heard_yet_ends_the_steps_to_its_place(
     assert performer.stage is LEFT
 
 
+async def test_a_stop_that_is_not_heard_yet_ends_the_landing_behind_the_track(
+    stand: Stand,
+) -> None:
+    performer = await stand.to(FLYING, leave="land")
+    await anyio.sleep(6.0)
+    hears_late(stand.one.channels[1], 0.4)
+    over_at = (performer._start_at or 0.0) + FLOWN.end + 1.0
+    await anyio.sleep(over_at - 0.1 - stand.one.client.now)
+    assert performer.stage is FLYING
+    stand.one.agent.background.spawn(stand.one.agent.stop(), "STOP")
+    await anyio.sleep(6.0)
+    assert not has_begun(stand.one.agent, "land")
+    assert stand.one.height > 2.0
+
+
 @pytest.mark.parametrize(
     ("kind", "name"), [(TrackExecutor, "_take_place"), (TrackSteering, "step")]
 )
