@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Mapping
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal, Self
 
@@ -94,23 +95,27 @@ class FleetAircraft:
                 agent did not begin it: the round trip is too long.
             M100Error: As :meth:`m100link.Control.land`, and :class:`m100link.errors.FleetError`.
         """
-        self.asker.doubtful_clocks = []
+        asker, clock = self.asker, asyncio.get_running_loop().time
+        asker.doubtful_clocks, began_at = [], clock()
         for left in reversed(range(_LANDINGS_ASKED)):
+            its = asker.its_clock.at_least(clock())
             try:
-                await self.asker.ask(Land())
+                # A STOP since the first time ends it.
+                await asker.ask(Land(), since=its and its - (clock() - began_at))
             except GuardRefused as error:
                 # It was not begun, and the answer had the time there: that is known now.
                 if error.guard != ORDER_AGE or not left:
                     raise
             except OutcomeUnknown:
-                await self._land_each(self.asker.doubtful_clocks)
+                await self._land_each(asker.doubtful_clocks, clock() - began_at)
                 raise
             else:
                 return
 
-    async def _land_each(self, clocks: list[float]) -> None:
+    async def _land_each(self, clocks: list[float], ago: float) -> None:
         """Ask each by its own time: it is unknown which of them is the aircraft."""
-        asked = (self.asker.ask(Land(), clock=one) for one in clocks[:_MOST_DOUBTFUL])
+        ask = partial(self.asker.ask, Land())
+        asked = (ask(clock=one, since=one - ago) for one in clocks[:_MOST_DOUBTFUL])
         await asyncio.gather(*asked, return_exceptions=True)
 
     async def stop(self) -> None:

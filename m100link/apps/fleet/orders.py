@@ -109,7 +109,7 @@ class OrderService:
                 held = self._lease_if_any(order)
                 client.hover(why, held, begins_anew=is_anew, at=order.clock)
             case orders.Land() if not order.fence:
-                orders.require_newer(asked, order.clock, client.stopped_at)
+                orders.require_newer(asked, order.since or order.clock, client.stopped_at)
                 await self.descend(asked, f"landing for {order.by}", signer=order.signer)
             case orders.UploadPlan():
                 lease = self.require_lease(order)

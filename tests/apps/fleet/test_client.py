@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import inspect
 from collections.abc import Awaitable, Callable
 from typing import Any
@@ -204,6 +205,21 @@ async def test_a_landing_is_flown_and_reported_over_long_ways(rig: Rig, way: flo
     rig.network.weather = Weather(delay_s=way)
     assert await told(rig, FleetAircraft.land) is Outcome.OK
     assert one.height < 0.1
+
+
+async def test_a_landing_that_is_asked_for_again_is_older_than_a_stop_since_the_first_time(
+    rig: Rig,
+) -> None:
+    """Its first order says no time, and only the refusal says what it is there."""
+    one = await in_the_air(rig)
+    rig.network.weather = Weather(delay_s=1.5)
+    landing = asyncio.ensure_future(told(rig, FleetAircraft.land))
+    await anyio.sleep(4.0)
+    assert not one.client.holder.number
+    await one.agent.stop()
+    assert await landing is Outcome.REFUSED
+    await anyio.sleep(5.0)
+    assert one.height > 1.0
 
 
 async def test_a_landing_over_a_way_of_three_seconds_is_refused_for_its_age(rig: Rig) -> None:
