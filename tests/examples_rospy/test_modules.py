@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import runpy
 from pathlib import Path
 
 import pytest
@@ -48,12 +49,19 @@ async def test_what_programs_import_is_there_and_what_is_not_is_named(tmp_path: 
 
 
 @pytest.mark.parametrize(
-    ("module", "kind"),
-    [("guidance.msg", "of ROS"), ("rosbag", "of ROS"), ("mavros_msgs.srv", "of ROS"),
-     ("torch", "of Python"), ("serial", "of Python")],
-)  # fmt: skip
-def test_a_missing_module_is_of_ros_or_of_python(module: str, kind: str) -> None:
-    assert kind in packages._where_from(module)
+    ("line", "kind"),
+    [
+        ("from guidance_xyz.msg import Motion", "of ROS"),
+        ("import guidance_xyz.srv", "of ROS"),
+        ("import mavros_msgs", "of ROS"),
+        ("import guidance_xyz", "of Python"),
+    ],
+)
+def test_a_missing_module_is_of_ros_or_of_python(tmp_path: Path, line: str, kind: str) -> None:
+    (tmp_path / "program.py").write_text(f"{line}\n")
+    with pytest.raises(ModuleNotFoundError) as caught:
+        runpy.run_path(str(tmp_path / "program.py"))
+    assert kind in packages._where_from(caught.value)
 
 
 def test_types_are_those_that_the_station_lacks_and_complete() -> None:

@@ -24,6 +24,7 @@ from xml.etree import ElementTree
 from rospy_stand_in import node
 from rospy_stand_in.modules import FOLDERS
 from rospy_stand_in.packages import packages_of
+from rospy_stand_in.parameters import value_of
 
 _SUBSTITUTION = re.compile(r"\$\((\w+)\s*([^()]*)\)")
 _STEP_S = 0.1
@@ -139,7 +140,7 @@ class LaunchFile:
     ) -> None:
         if element.tag == "param":
             if "value" in found:
-                value = node.value_of(found["value"])
+                value = value_of(found["value"])
                 value = found["value"] if found.get("type") in ("str", "string") else value
             elif "textfile" in found:
                 value = Path(found["textfile"]).read_text(encoding="utf-8")

@@ -12,8 +12,6 @@ import threading
 import time
 import traceback
 from collections.abc import Callable, Iterator
-from importlib import import_module
-from importlib.util import find_spec
 from types import SimpleNamespace
 from typing import Any
 
@@ -29,6 +27,7 @@ from rospy_stand_in.genpy import (
     from_json,
     to_json,
 )
+from rospy_stand_in.parameters import ParameterStore, value_of
 
 DEBUG, INFO, WARN, ERROR, FATAL = 1, 2, 4, 8, 16
 _NAMES = {DEBUG: "DEBUG", INFO: "INFO", WARN: "WARN", ERROR: "ERROR", FATAL: "FATAL"}
@@ -81,7 +80,7 @@ class _Node:
         self.address = self.token = ""
         self.name, self.namespace = "/unnamed", "/"
         self.remaps: dict[str, str] = {}
-        self.parameters: dict[str, Any] = {}
+        self.parameters = ParameterStore()
         self.services: dict[str, Callable[[RosMessage], Any]] = {}
         self.is_initialised = self.is_over = self._is_ending = False
         self.goals: set[str] = set()  # of action servers of the station, under way
@@ -209,22 +208,6 @@ def _on_signal(number: int, frame: object) -> None:
     if number == signal.SIGINT:
         raise KeyboardInterrupt
     raise SystemExit(128 + number)
-
-
-def value_of(text: str) -> Any:
-    """As rospy reads it: YAML, where PyYAML is there."""
-    if find_spec("yaml") is not None:
-        yaml = import_module("yaml")
-        try:
-            return yaml.safe_load(text)
-        except yaml.YAMLError:
-            return text
-    for kind in (int, float):
-        try:
-            return kind(text)
-        except ValueError:
-            pass
-    return {"true": True, "false": False}.get(text.lower(), text)
 
 
 def myargv(argv: list[str] | None = None) -> list[str]:
@@ -618,40 +601,18 @@ _NO_DEFAULT = object()
 
 def get_param(param_name: str, default: Any = _NO_DEFAULT) -> Any:
     """Raises KeyError: it is not set, and there is no default."""
-    name = resolve_name(param_name)
-    if name in _node.parameters:
-        return _node.parameters[name]
-    below: dict[str, Any] = {}
-    for key in _below(name):
-        *inner, last = key[len(name) :].strip("/").split("/")
-        place = below
-        for one in inner:
-            place = place.setdefault(one, {})
-        place[last] = _node.parameters[key]
-    if below:
-        return below
-    if default is _NO_DEFAULT:
+    try:
+        return _node.parameters.get(resolve_name(param_name))
+    except KeyError:
+        if default is not _NO_DEFAULT:
+            return default
         raise KeyError(
             f"{param_name} is not set: give ~name as _name:=value, others in a launch file"
-        )
-    return default
-
-
-def _below(name: str) -> list[str]:
-    """The parameters in a namespace."""
-    return [key for key in _node.parameters if key.startswith(name.rstrip("/") + "/")]
+        ) from None
 
 
 def set_param(param_name: str, value: Any) -> None:
-    """A dict is a namespace, as on a parameter server."""
-    name = resolve_name(param_name)
-    for key in (name, *_below(name)):
-        _node.parameters.pop(key, None)
-    if not isinstance(value, dict):
-        _node.parameters[name] = value
-        return
-    for key, inner in value.items():
-        set_param(f"{name}/{key}", inner)
+    _node.parameters.set(resolve_name(param_name), value)
 
 
 def has_param(param_name: str) -> bool:
@@ -666,11 +627,11 @@ def delete_param(param_name: str) -> None:
 
 def search_param(param_name: str) -> str | None:
     name = resolve_name(param_name)
-    return name if name in _node.parameters else None
+    return name if name in _node.parameters.values else None
 
 
 def get_param_names() -> list[str]:
-    return list(_node.parameters)
+    return list(_node.parameters.values)
 
 
 # -- logs ------------------------------------------------------------------------------------------

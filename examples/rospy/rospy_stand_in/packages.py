@@ -82,8 +82,8 @@ def run_program(
     except Exception as error:  # noqa: BLE001 - whatever the program raises
         error.__traceback__ = _of_program(error.__traceback__, str(program))
         traceback.print_exception(error)
-        if isinstance(error, ModuleNotFoundError) and error.name:
-            sys.stderr.write(f"{_where_from(error.name)}\n")
+        if isinstance(error, ModuleNotFoundError):
+            sys.stderr.write(f"{_where_from(error)}\n")
         raise SystemExit(1) from None
 
 
@@ -94,12 +94,15 @@ def _of_program(trace: types.TracebackType | None, program: str) -> types.Traceb
     return trace
 
 
-def _where_from(module: str) -> str:
+def _where_from(error: ModuleNotFoundError) -> str:
     """Where a module that is missing comes from."""
-    package, _, part = module.partition(".")
-    if part in ("msg", "srv", "cfg") or package in ROS_PACKAGES:
+    package = str(error.name).partition(".")[0]
+    lines = [one.line for one in traceback.extract_tb(error.__traceback__) if one.line]
+    # The error names the package alone, the line of the program its part.
+    is_of_ros = any(re.search(rf"\b{package}\.(msg|srv|cfg)\b", line) for line in lines)
+    if is_of_ros or package in ROS_PACKAGES:
         return f"{package} is a package of ROS: name a folder that has it with --workspace"
-    return f"{module} is a module of Python: install it into the environment of m100link"
+    return f"{error.name} is a module of Python: install it into the environment of m100link"
 
 
 # -- packages around a program ---------------------------------------------------------------------
