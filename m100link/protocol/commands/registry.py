@@ -6,92 +6,60 @@ one frame needs one of them.
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Iterator, Mapping
+from functools import cache
 from importlib import import_module
+from operator import itemgetter
+from typing import Any
 
 from m100link.protocol.command import Address, Command, Unrecognised
 from m100link.protocol.firmware import FirmwareProfile
 
-# Set, the module of its commands, and their classes by id.
-_SETS: tuple[tuple[int, str, dict[int, str]], ...] = (
-    (
-        0x00,
-        "activation",
-        {0x00: "GetVersion", 0x01: "Activate", 0x10: "SetTelemetryRates", 0xFE: "SendToMobile"},
-    ),
-    (
-        0x01,
-        "control",
-        {0x00: "RequestAuthority", 0x01: "StartTask", 0x02: "QueryTask", 0x03: "Move", 0x05: "Arm"},
-    ),
-    (0x01, "gimbal", {0x1A: "GimbalSpeed", 0x1B: "GimbalAngle"}),
-    (0x01, "gimbal", {0x20: "TakePhoto", 0x21: "StartVideo", 0x22: "StopVideo"}),
-    (0x02, "monitor", {0x00: "PushTelemetry", 0x01: "AuthorityChanged", 0x02: "FromMobile"}),
-    (0x02, "missions", {0x03: "MissionStatus", 0x04: "WaypointEvent"}),
-    (
-        0x03,
-        "waypoint",
-        {
-            0x10: "WaypointMission",
-            0x11: "WaypointPoint",
-            0x12: "WaypointStartStop",
-            0x13: "WaypointPauseResume",
-            0x14: "WaypointDownloadMission",
-            0x15: "WaypointDownloadPoint",
-            0x16: "WaypointSetIdleSpeed",
-            0x17: "WaypointGetIdleSpeed",
-        },
-    ),
-    (
-        0x03,
-        "hotpoint",
-        {
-            0x20: "HotpointStart",
-            0x21: "HotpointStop",
-            0x22: "HotpointPauseResume",
-            0x23: "HotpointSetRate",
-            0x24: "HotpointSetRadius",
-            0x25: "HotpointResetYaw",
-            0x26: "HotpointDownload",
-            0x27: "HotpointAutoRadius",
-        },
-    ),
-    (
-        0x03,
-        "hotpoint",
-        {0x30: "FollowStart", 0x31: "FollowStop", 0x32: "FollowPauseResume", 0x33: "FollowTarget"},
-    ),
-    (0x04, "virtual_rc", {0x00: "Sync"}),
-    (0x05, "virtual_rc", {0x00: "VirtualRcSettings", 0x01: "VirtualRcData"}),
+# Where the classes are: the module of a command set, from an id on.
+_MODULES = (
+    (Address(0x00, 0x00), "activation"),
+    (Address(0x01, 0x00), "control"),
+    (Address(0x01, 0x10), "gimbal"),
+    (Address(0x02, 0x00), "monitor"),
+    (Address(0x02, 0x03), "missions"),
+    (Address(0x03, 0x00), "waypoint"),
+    (Address(0x03, 0x20), "hotpoint"),
+    (Address(0x04, 0x00), "virtual_rc"),
 )
+
+
+@cache
+def _in_module(name: str) -> dict[Address, type[Command]]:
+    """The classes of a module that have an address, by that."""
+    module = import_module(f"{__package__}.{name}")
+    kinds: list[Any] = [one for one in vars(module).values() if isinstance(one, type)]
+    own = [one for one in kinds if one.__module__ == module.__name__ and "ADDRESS" in vars(one)]
+    return {kind.ADDRESS: kind for kind in sorted(own, key=lambda kind: kind.ADDRESS)}
 
 
 class _Commands(Mapping[Address, type[Command]]):
     """The classes by address, each imported when it is asked for."""
 
-    __slots__ = ("_known", "_places")
+    __slots__ = ("_known",)
 
     def __init__(self) -> None:
-        self._places = {
-            Address(command_set, command_id): (module, name)
-            for command_set, module, names in _SETS
-            for command_id, name in names.items()
-        }
         self._known: dict[Address, type[Command]] = {}
 
     def __getitem__(self, address: Address) -> type[Command]:
         command = self._known.get(address)
         if command is None:
-            module, name = self._places[address]
-            command = getattr(import_module(f"{__package__}.{module}"), name)
-            self._known[address] = command
+            # Above the last set, too, a module is found: it has no such address.
+            place = bisect_right(_MODULES, address, key=itemgetter(0)) - 1
+            command = self._known[address] = _in_module(_MODULES[place][1])[address]
         return command
 
     def __iter__(self) -> Iterator[Address]:
-        return iter(self._places)
+        for _, module in _MODULES:
+            yield from _in_module(module)
 
     def __len__(self) -> int:
-        return len(self._places)
+        return sum(len(_in_module(module)) for _, module in _MODULES)
 
 
 COMMANDS: Mapping[Address, type[Command]] = _Commands()
