@@ -574,10 +574,8 @@ class PendingRequests:
     ) -> messages.OrderOutcome:
         """Ask for something, and wait for the answer.
 
-        Raises:
-            M100Error: The agent's error.
-            LinkError: It has gone; nothing was asked.
-            LinkLost: It goes meanwhile, and may have done it.
+        Raises M100Error: the agent's. Raises LinkError: it has gone; nothing was asked. Raises
+        LinkLost: it goes meanwhile, and may have done it.
         """
         if self.gone is not None:
             raise messages.agent_gone(self.gone)

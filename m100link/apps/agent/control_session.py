@@ -17,25 +17,13 @@ from enum import Enum
 from functools import partial
 from typing import Any
 
+from m100link import errors
 from m100link.apps.agent import orders
 from m100link.apps.agent.background import ignore
 from m100link.apps.agent.client import AgentClient, Hearing
 from m100link.apps.agent.lease import Lease, LeaseHeld, LeaseRefused, TakeOver
 from m100link.apps.agent.messages import Event, EventTopic, LeaseChanged, OrderOutcome
 from m100link.apps.agent.orders import SETPOINT_LIFETIME
-from m100link.errors import (
-    AckTimeout,
-    AuthorityLost,
-    BadAck,
-    GuardRefused,
-    LossReason,
-    M100Error,
-    MissionRunning,
-    NoAuthority,
-    OutcomeUnknown,
-    StaleLease,
-    TaskRefused,
-)
 from m100link.protocol.setpoint import Setpoint
 
 RENEWAL_S = 0.5
@@ -49,7 +37,13 @@ _TAKE_OVERS = 3
 BROUGHT_DOWN_S = 60.0
 """Seconds in which a landing that is refused or unanswered is asked for again."""
 
-_BROUGHT_DOWN_AGAIN = (AckTimeout, BadAck, MissionRunning, OutcomeUnknown, TaskRefused)
+_BROUGHT_DOWN_AGAIN = (
+    errors.AckTimeout,
+    errors.BadAck,
+    errors.MissionRunning,
+    errors.OutcomeUnknown,
+    errors.TaskRefused,
+)
 
 Grant = Callable[[float], Coroutine[Any, Any, Lease]]
 """Asks the agent for a lease that was wanted at that time, s: a STOP since then overtakes it."""
@@ -161,13 +155,13 @@ class ControlSession:
         #: How the lease was lost, and to whom; None while it is held or went back.
         self.lease_end: LeaseChanged | None = None
         #: Why authority was lost; None while it is held, and without a lease.
-        self.loss: LossReason | None = None
+        self.loss: errors.LossReason | None = None
         #: Digest of the plan that this operator uploaded last, and starts; empty for none.
         self.uploaded = ""
         #: Called with each new state.
         self.on_change: Callable[[ControlState], None] = ignore
         #: Called with why a setpoint of this operator was not flown.
-        self.on_refused: Callable[[M100Error], None] = ignore
+        self.on_refused: Callable[[errors.M100Error], None] = ignore
         # One request for control, or its end, at a time: they would cross.
         self._changing = asyncio.Lock()
         self._let_gos = 0  # what was asked for before the newest one is not wanted any more
@@ -249,18 +243,18 @@ class ControlSession:
             raise self._no_control()
         return lease
 
-    def _no_control(self) -> NoAuthority:
+    def _no_control(self) -> errors.NoAuthority:
         view, holder, who = self._agent.view, self._agent.holder, self._terms.who
         if view.hearing is not Hearing.HEARD:
             silent = f"has said nothing for {view.at - view.heard_at:.0f} s"
             why = "has gone" if view.is_gone else silent
-            return NoAuthority(
+            return errors.NoAuthority(
                 f"the agent that owns the aircraft {why}; nothing was sent",
                 cause="its process, or the way to it, has ended or stands still",
                 remedy="look at the aircraft; the pilot gets it by leaving F",
             )
         other = f": {holder.name} has control" if holder.number and not self.has_lease else ""
-        return NoAuthority(
+        return errors.NoAuthority(
             f"{who} has no control{other}; nothing was sent",
             cause="control was not asked for, or was lost since",
             remedy=self._terms.remedy,
@@ -339,7 +333,7 @@ class ControlSession:
             try:
                 offer = await agent.ask_take_over(self.name, asked_at)
                 return await agent.confirm(offer.token, asked_at)
-            except (LeaseRefused, StaleLease):  # it ended, or went to another one, meanwhile
+            except (LeaseRefused, errors.StaleLease):  # it ended, or went to another one, meanwhile
                 if not left:
                     raise
         raise AssertionError("the last attempt returns or raises")
@@ -376,7 +370,7 @@ class ControlSession:
         except BaseException as error:
             is_unwanted = self._lease is not lease
             self._end(lease)
-            if is_unwanted and isinstance(error, M100Error):
+            if is_unwanted and isinstance(error, errors.M100Error):
                 raise self._not_wanted() from error
             raise
         self._used_at = self._agent.now
@@ -385,8 +379,8 @@ class ControlSession:
         if self._lease is not lease:
             raise self._not_wanted()
 
-    def _not_wanted(self) -> NoAuthority:
-        return NoAuthority(
+    def _not_wanted(self) -> errors.NoAuthority:
+        return errors.NoAuthority(
             f"{self.name} gave control back before it was obtained", remedy="take control again"
         )
 
@@ -455,7 +449,7 @@ class ControlSession:
             finally:
                 try:
                     if lease is not None:
-                        with suppress(M100Error):  # it ended meanwhile, as wanted
+                        with suppress(errors.M100Error):  # it ended meanwhile, as wanted
                             await self._agent.release_lease(lease.token)
                 finally:
                     self.feed(_I.GIVEN_BACK)
@@ -519,7 +513,7 @@ class ControlSession:
                 await self._agent.ask(orders.Obtain(), lease, asked_at=asked_at)
                 self.feed(_I.BEGUN_ANEW)
             outcome = await self._agent.ask(order, lease, accepted, asked_at)
-        except GuardRefused as error:
+        except errors.GuardRefused as error:
             self._met(error)
             raise
         if isinstance(order, orders.UploadPlan):
@@ -560,8 +554,8 @@ class ControlSession:
             except _BROUGHT_DOWN_AGAIN as error:
                 if agent.now >= until or self._lease is not lease:
                     raise
-                if isinstance(error, MissionRunning):
-                    with suppress(M100Error):  # it may be over by now
+                if isinstance(error, errors.MissionRunning):
+                    with suppress(errors.M100Error):  # it may be over by now
                         await agent.ask(orders.StopMission(), lease, asked_at=asked_at)
                 await asyncio.sleep(RENEWAL_S)
             else:
@@ -610,10 +604,10 @@ class ControlSession:
             self.lease_end, self.loss = message, None
         self.feed(_I.OTHER if message.number else _I.ENDED)
 
-    def _authority_taken(self, error: AuthorityLost) -> None:
+    def _authority_taken(self, error: errors.AuthorityLost) -> None:
         if not self.has_lease:
             return
-        self.loss = LossReason(error.reason)  # a text once it has been a message
+        self.loss = errors.LossReason(error.reason)  # a text once it has been a message
         try:
             self.feed(_I.AUTHORITY_TAKEN)
         finally:
@@ -624,13 +618,13 @@ class ControlSession:
         if event.topic is EventTopic.STOPPED:
             self.feed(_I.STOP)
 
-    def _steer_refused(self, fence: int, error: M100Error) -> None:
+    def _steer_refused(self, fence: int, error: errors.M100Error) -> None:
         lease = self._lease
         if lease is None or lease.number != fence:
             return
         self._met(error)
         self.on_refused(error)
 
-    def _met(self, error: M100Error) -> None:
-        if isinstance(error, GuardRefused) and error.guard == "stopped":
+    def _met(self, error: errors.M100Error) -> None:
+        if isinstance(error, errors.GuardRefused) and error.guard == "stopped":
             self.feed(_I.STOP)

@@ -16,6 +16,7 @@ import math
 from collections.abc import Callable
 from enum import Enum, IntEnum
 
+from m100link import errors
 from m100link.aircraft import Aircraft
 from m100link.aircraft.activation import ActivationProgress
 from m100link.apps.agent.background import TaskSet, call_each
@@ -23,17 +24,6 @@ from m100link.apps.agent.lease import Flown
 from m100link.apps.agent.messages import EventTopic, GuardLimits, Journal
 from m100link.apps.agent.server.flight import ActiveFlight, limits_of
 from m100link.apps.agent.server.mission import MissionListener, look_at
-from m100link.errors import (
-    AuthorityLost,
-    AuthorityRefused,
-    LinkError,
-    LossReason,
-    M100Error,
-    NoAuthority,
-    NotObserved,
-    TelemetryStalled,
-    UsageError,
-)
 from m100link.flight.authority import AuthorityState
 from m100link.flight.control import Control
 from m100link.flight.guards import Guards
@@ -117,9 +107,9 @@ TRANSITIONS: dict[HoldingState, dict[HoldingInput, HoldingState]] = {
 """State, input, next state."""
 
 _LOSSES = {
-    LossReason.MODE_SWITCH: _I.PILOT_TOOK,
-    LossReason.APP: _I.APP_TOOK,
-    LossReason.LINK: _I.LINK_LOST,
+    errors.LossReason.MODE_SWITCH: _I.PILOT_TOOK,
+    errors.LossReason.APP: _I.APP_TOOK,
+    errors.LossReason.LINK: _I.LINK_LOST,
 }
 
 _LEFT = {
@@ -131,7 +121,7 @@ _LEFT = {
 }
 """Notes on a control block that ended and did not give authority back."""
 
-_UNSEEN = (LinkError, TelemetryStalled)
+_UNSEEN = (errors.LinkError, errors.TelemetryStalled)
 """Errors that end control without a sight of the aircraft."""
 
 
@@ -147,7 +137,7 @@ class AuthorityManager:
         # Called after each change with the old and the new state.
         self.on_change: list[Callable[[HoldingState, HoldingState], None]] = []
         # Called when somebody else took authority.
-        self.on_lost: list[Callable[[AuthorityLost], None]] = []
+        self.on_lost: list[Callable[[errors.AuthorityLost], None]] = []
         # The task of the control block, and the event that lets it give authority back.
         self._block: asyncio.Task[None] | None = None
         self._let_go = asyncio.Event()
@@ -190,7 +180,7 @@ class AuthorityManager:
     def require(self) -> ActiveFlight:
         """The present flight. Raises NoAuthority: authority is not held."""
         if self.flying is None or not self.has_authority:
-            raise NoAuthority(
+            raise errors.NoAuthority(
                 "the station does not hold control authority; nothing was sent",
                 remedy="obtain control first",
             )
@@ -265,10 +255,10 @@ class AuthorityManager:
                 aircraft.authority.state, ("control authority released", "info")
             )
             self._journal.note(text, level)
-        except AuthorityLost as error:
+        except errors.AuthorityLost as error:
             self._lost(aircraft, error, granted)
-        except M100Error as error:
-            is_refusal = isinstance(error, AuthorityRefused)
+        except errors.M100Error as error:
+            is_refusal = isinstance(error, errors.AuthorityRefused)
             self.feed(HoldingInput.REFUSED if is_refusal else HoldingInput.FAILED)
             if granted.done():
                 self._journal.note(f"control ended: {error.seen}", "error")
@@ -280,7 +270,9 @@ class AuthorityManager:
         finally:
             self._block = None
             if not granted.done():
-                failed = NoAuthority("control was not obtained: the agent failed, or it ends")
+                failed = errors.NoAuthority(
+                    "control was not obtained: the agent failed, or it ends"
+                )
                 granted.set_exception(failed)
             self.orphaned.block_ended(aircraft)
             self.feed(HoldingInput.ENDED)  # nothing holds it now, whatever ended the block
@@ -295,7 +287,7 @@ class AuthorityManager:
                 self._journal.note("control authority obtained")
                 granted.set_result(None)
             else:
-                error = NoAuthority("control was given back before it was obtained")
+                error = errors.NoAuthority("control was given back before it was obtained")
                 granted.set_exception(error)
             await self._let_go.wait()
         finally:
@@ -303,11 +295,11 @@ class AuthorityManager:
             self._broken_off = await flying.end(is_lost=not self._let_go.is_set())
 
     def _lost(
-        self, aircraft: Aircraft, error: AuthorityLost, granted: asyncio.Future[None]
+        self, aircraft: Aircraft, error: errors.AuthorityLost, granted: asyncio.Future[None]
     ) -> None:
         self.feed(_LOSSES.get(error.reason, HoldingInput.SOMEBODY_TOOK))
         self._journal.note(f"control authority lost: {error.seen}", "warning")
-        self._tell_mission(error.seen, is_seen=error.reason is not LossReason.LINK)
+        self._tell_mission(error.seen, is_seen=error.reason is not errors.LossReason.LINK)
         if not granted.done():
             granted.set_exception(error)
         # Whatever a callback raises: nobody else sees the pilot come back.
@@ -349,7 +341,7 @@ class AuthorityManager:
                     if self.state is HoldingState.RESUMING:
                         self._begin(aircraft)
                         return
-        except M100Error:
+        except errors.M100Error:
             pass  # the connection tells it
         self.feed(HoldingInput.LINK_LOST)
 
@@ -399,7 +391,7 @@ class OrphanedAuthority:
         """A control block has ended."""
         authority = aircraft.authority
         self._whose, self._is_reported = "this agent", False
-        if authority.reason is LossReason.LINK:
+        if authority.reason is errors.LossReason.LINK:
             self.owed = Owed.AFTER_LEASE
         else:
             left = {AuthorityState.UNRELEASED: Owed.AT_ONCE, AuthorityState.HELD: Owed.AFTER_STOP}
@@ -419,8 +411,7 @@ class OrphanedAuthority:
     async def insist(self) -> None:
         """It goes back now, also while a client has the lease.
 
-        Raises:
-            NotObserved: The aircraft does not confirm it; the release goes out again.
+        Raises NotObserved: the aircraft does not confirm it; the release goes out again.
         """
         if self.owed is Owed.NOTHING:
             return
@@ -429,7 +420,7 @@ class OrphanedAuthority:
         self.look(Owed.AT_ONCE)
         await self._settle()
         if self.owed is not Owed.NOTHING:
-            raise NotObserved(
+            raise errors.NotObserved(
                 "the aircraft does not confirm that it has control authority back",
                 cause="the line is lost, or broken in one direction",
                 remedy="it may fly on by itself: the pilot gets it by leaving F",
@@ -467,7 +458,7 @@ class ActivationManager:
         # Last answer to an activation, None before the first.
         self.code: ActivationCode | None = None
         # Why the last one failed, with remedy; None when it did not.
-        self.error: M100Error | None = None
+        self.error: errors.M100Error | None = None
         # Called with each answer to an activation.
         self.on_code: list[Callable[[ActivationCode], None]] = []
 
@@ -478,13 +469,13 @@ class ActivationManager:
 
     async def activate(self, aircraft: Aircraft) -> Version:
         if self._credentials is None:
-            raise UsageError(
+            raise errors.UsageError(
                 "this station has no app id and key", remedy="start it with --app-id and --key-file"
             )
         self._journal.note("activating")
         try:
             version = await aircraft.activate(self._credentials, progress=self._progress)
-        except M100Error as error:
+        except errors.M100Error as error:
             self.error = error
             self._journal.note(f"activation failed: {error.seen}", "error")
             raise

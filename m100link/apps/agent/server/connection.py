@@ -7,14 +7,7 @@ from collections.abc import Awaitable, Callable
 from enum import Enum
 from random import Random
 
-from m100link.aircraft import Aircraft
-from m100link.aircraft.supervising import (
-    ENDED,
-    BackOff,
-    Supervised,
-    SupervisionEvent,
-    SupervisionState,
-)
+from m100link.aircraft import Aircraft, supervising
 from m100link.apps.agent.background import call_each, goes_on
 from m100link.apps.agent.messages import Journal
 from m100link.errors import LinkError, M100Error
@@ -26,7 +19,7 @@ from m100link.telemetry.subscription import Newest
 RECONNECT_PAUSE = 1.0
 """Seconds between two attempts to open the line: somebody waits for it."""
 
-_STEADY = BackOff(first=RECONNECT_PAUSE, factor=1.0, jitter=0.0)
+_STEADY = supervising.BackOff(first=RECONNECT_PAUSE, factor=1.0, jitter=0.0)
 
 Connect = Callable[[], Awaitable[Aircraft]]
 """Opens the aircraft; raises :class:`M100Error` when it cannot."""
@@ -52,8 +45,10 @@ class AircraftConnection:
         self.on_aircraft: list[Callable[[Aircraft | None], None]] = []
         self.on_sample: list[Callable[[Sample], None]] = []
 
-    def _new(self) -> Supervised:
-        return Supervised(self._connect, credentials=None, back_off=_STEADY, random=Random())
+    def _new(self) -> supervising.Supervised:
+        return supervising.Supervised(
+            self._connect, credentials=None, back_off=_STEADY, random=Random()
+        )
 
     @property
     def version(self) -> Version | None:
@@ -85,20 +80,20 @@ class AircraftConnection:
             if self.aircraft is not None:
                 self._lose(None)
 
-    async def _follow(self, one: Supervised) -> None:
+    async def _follow(self, one: supervising.Supervised) -> None:
         """Report the changes of the connection, until it ends for good."""
         async for event in one.events():
             self._take(event, one.aircraft)
-            if event.after in ENDED:
+            if event.after in supervising.ENDED:
                 return
 
-    def _take(self, event: SupervisionEvent, aircraft: Aircraft | None) -> None:
-        if event.after is SupervisionState.CONNECTED:
+    def _take(self, event: supervising.SupervisionEvent, aircraft: Aircraft | None) -> None:
+        if event.after is supervising.SupervisionState.CONNECTED:
             if aircraft is not None:  # it may be gone again by now
                 self._gain(aircraft)
-        elif event.before is SupervisionState.CONNECTED:
+        elif event.before is supervising.SupervisionState.CONNECTED:
             self._lose(event.error)
-        elif event.after is SupervisionState.CONNECTING:
+        elif event.after is supervising.SupervisionState.CONNECTING:
             self.state = ConnectionState.CONNECTING
         elif event.error is not None:
             # An attempt fails each second: the same reason is one line of the journal.
@@ -107,7 +102,7 @@ class AircraftConnection:
             if is_news:
                 self._journal.note(f"not connected: {event.error.seen}", "warning")
 
-    async def _pass_on(self, one: Supervised) -> None:
+    async def _pass_on(self, one: supervising.Supervised) -> None:
         is_told = False
         try:
             async for sample in one.telemetry(policy=Newest(50)):

@@ -14,25 +14,11 @@ from m100link.apps.agent import orders
 from m100link.apps.agent.background import TaskSet, ignore
 from m100link.apps.agent.lease import Flown
 from m100link.apps.agent.messages import GuardLimits, Journal
-from m100link.apps.agent.orders import (
-    ANGLE_MODE,
-    SETPOINT_LIFETIME,
-    VELOCITY_MODE,
-    GuidedOrder,
-    setpoint_of,
-)
 from m100link.apps.agent.preview import preview
 from m100link.apps.agent.server.mission import ActiveMission
 from m100link.errors import GuardRefused, M100Error, NotObserved, TaskRefused, UsageError
+from m100link.flight import foresight
 from m100link.flight.control import Control
-from m100link.flight.foresight import (
-    APPROACH_M_S,
-    frame_at,
-    seconds_around,
-    seconds_climbing,
-    seconds_straight,
-    seconds_turning,
-)
 from m100link.flight.guards import Guards
 from m100link.flight.guidance import GuidanceProgress
 from m100link.flight.missions.mission_guard import MissionFlight
@@ -105,7 +91,7 @@ class ActiveFlight:
 
     # -- setpoints -------------------------------------------------------------------------------
 
-    def steer(self, setpoint: Setpoint, lifetime: float = SETPOINT_LIFETIME) -> None:
+    def steer(self, setpoint: Setpoint, lifetime: float = orders.SETPOINT_LIFETIME) -> None:
         """Fly this setpoint until it is renewed or its lifetime ends. Ends a program."""
         # Letting go of a stick is not steering: a neutral setpoint leaves a program alone.
         is_flown = self._pattern is not None or self.guiding.order is not None
@@ -223,7 +209,7 @@ class ActiveFlight:
 
     async def _run_pattern(self, name: str, fly: Pattern) -> None:
         def send(setpoint: Setpoint) -> None:
-            self._send(setpoint, SETPOINT_LIFETIME)
+            self._send(setpoint, orders.SETPOINT_LIFETIME)
 
         outcome, level = f"{name} ended: the agent failed", "error"
         try:
@@ -248,7 +234,7 @@ class ActiveFlight:
 
     # -- guided flights --------------------------------------------------------------------------
 
-    async def guide(self, order: GuidedOrder, accepted: Callable[[], None] = ignore) -> None:
+    async def guide(self, order: orders.GuidedOrder, accepted: Callable[[], None] = ignore) -> None:
         """Fly to where somebody points; done when it is there. Ends a program; the newest wins."""
         self._make_room(f"a {order.label}")
         await self.guiding.fly(order, accepted)
@@ -277,11 +263,8 @@ class ActiveFlight:
     async def order_mission(self, what: MissionOrder) -> None:
         """Pause, resume or stop the mission that flies, also somebody else's.
 
-        A stop is done when something else may fly.
-
-        Raises:
-            MissionRefused, MissionAborted, AckTimeout, NoAuthority: See each class.
-            UsageError: It has not begun yet; a stop ends that.
+        A stop is done when something else may fly. Raises UsageError: it has not begun yet; a stop
+        ends that. Raises MissionRefused, MissionAborted, AckTimeout, NoAuthority: see each class.
         """
         control, own = self._control, self.mission
         if own.is_flying and what == "stop":
@@ -340,7 +323,7 @@ _PATIENCE_S = 30.0
 
 @dataclass(slots=True, eq=False)
 class _Flight:
-    order: GuidedOrder
+    order: orders.GuidedOrder
     accepted: Callable[[], None]  # called when it has begun
     work: asyncio.Task[None] | None = None  # the task in which it flies
     progress: GuidanceProgress | None = None  # how far it is; None before it has begun
@@ -360,10 +343,10 @@ class GuidedFlightManager:
         self._works: set[asyncio.Task[None]] = set()
 
     @property
-    def order(self) -> GuidedOrder | None:
+    def order(self) -> orders.GuidedOrder | None:
         return None if self._flight is None else self._flight.order
 
-    async def fly(self, order: GuidedOrder, accepted: Callable[[], None]) -> None:
+    async def fly(self, order: orders.GuidedOrder, accepted: Callable[[], None]) -> None:
         """Fly there; done when it is there. Ends the flight before."""
         self.end("another place was pointed at")
         flight = self._flight = _Flight(order, accepted)
@@ -419,7 +402,7 @@ class GuidedFlightManager:
             await control.orbit(
                 center_north=0.0,
                 center_east=0.0,
-                frame=frame_at(order.latitude_deg, order.longitude_deg),
+                frame=foresight.frame_at(order.latitude_deg, order.longitude_deg),
                 radius=order.radius,
                 height=order.height,
                 speed=order.speed,
@@ -472,19 +455,21 @@ class GuidedFlightManager:
             await asyncio.wait(self._works)
 
 
-def _left(order: GuidedOrder, found: GuidanceProgress) -> tuple[float | None, float]:
+def _left(order: orders.GuidedOrder, found: GuidanceProgress) -> tuple[float | None, float]:
     """Metres and seconds that remain, roughly."""
-    climbing = seconds_climbing(found.height_error_m)
+    climbing = foresight.seconds_climbing(found.height_error_m)
     if isinstance(order, orders.FlyTo):
-        return found.distance_m, max(seconds_straight(found.distance_m, order.speed), climbing)
+        return found.distance_m, max(
+            foresight.seconds_straight(found.distance_m, order.speed), climbing
+        )
     if isinstance(order, orders.FlyAround):
         turns = max(0.0, found.heading_error_deg) / 360.0
         far = found.distance_m + math.tau * order.radius * turns
-        there = max(seconds_straight(found.distance_m, APPROACH_M_S), climbing)
-        return far, there + seconds_around(order.radius, order.speed, turns)
+        there = max(foresight.seconds_straight(found.distance_m, foresight.APPROACH_M_S), climbing)
+        return far, there + foresight.seconds_around(order.radius, order.speed, turns)
     if isinstance(order, orders.ChangeHeight):
         return abs(found.height_error_m), climbing
-    return None, seconds_turning(found.heading_error_deg)
+    return None, foresight.seconds_turning(found.heading_error_deg)
 
 
 # -- the simple tasks of DJI's node of 2015: what ``/sdk_request_simple_task`` flies ---------------
@@ -509,7 +494,7 @@ Send = Callable[[Setpoint], None]
 
 def _legs(mode: int) -> list[Setpoint]:
     """Eight legs in DJI's order; first and second value, climb rate, yaw rate."""
-    reach = 2.0 if mode == ANGLE_MODE else 0.5
+    reach = 2.0 if mode == orders.ANGLE_MODE else 0.5
     moves = [
         (reach, 0.0, 0.0, 0.0),
         (-reach, 0.0, 0.0, 0.0),
@@ -520,7 +505,7 @@ def _legs(mode: int) -> list[Setpoint]:
         (0.0, 0.0, 0.0, 90.0),
         (0.0, 0.0, 0.0, -90.0),
     ]
-    return [setpoint_of(mode, y, x, yaw, up) for x, y, up, yaw in moves]
+    return [orders.setpoint_of(mode, y, x, yaw, up) for x, y, up, yaw in moves]
 
 
 async def _fly_legs(control: Control, send: Send, mode: int, seconds: float) -> None:
@@ -545,8 +530,8 @@ async def _commands(control: Control, send: Send) -> None:
 
 async def _everything(control: Control, send: Send) -> None:
     await control.take_off()
-    await _fly_legs(control, send, ANGLE_MODE, 28.0)
-    await _fly_legs(control, send, VELOCITY_MODE, 40.0)
+    await _fly_legs(control, send, orders.ANGLE_MODE, 28.0)
+    await _fly_legs(control, send, orders.VELOCITY_MODE, 40.0)
     await asyncio.sleep(0.5)  # neutral goes out before the autopilot takes over
     await control.go_home()
 
@@ -560,8 +545,8 @@ def pattern(number: int) -> Pattern:
             remedy="use a test rig; see the virtual aircraft's line faults",
         )
     programs: dict[int, Pattern] = {
-        0: lambda control, send: _legs_for_ever(control, send, ANGLE_MODE),
-        1: lambda control, send: _legs_for_ever(control, send, VELOCITY_MODE),
+        0: lambda control, send: _legs_for_ever(control, send, orders.ANGLE_MODE),
+        1: lambda control, send: _legs_for_ever(control, send, orders.VELOCITY_MODE),
         2: _commands,
         4: _everything,
     }

@@ -13,16 +13,7 @@ from m100link.apps.agent.background import TaskSet
 from m100link.apps.agent.messages import EventTopic, Journal
 from m100link.errors import M100Error, MissionRunning, NotObserved, UsageError
 from m100link.flight.control import Control
-from m100link.flight.missions.events import (
-    Aborted,
-    ActionsDone,
-    Finished,
-    MissionEvent,
-    MissionProgress,
-    Reached,
-    Stopped,
-    Uploaded,
-)
+from m100link.flight.missions import events
 from m100link.flight.missions.hotpoint import CircleHeading, CircleStart, HotpointFlight
 from m100link.flight.missions.mission_guard import MissionFlight
 from m100link.flight.missions.waypoint import WaypointFlight
@@ -39,7 +30,7 @@ _NAMES: dict[object, str] = {
 
 _STOP_AGAIN_S = 0.5  # between a stop that got no answer and the next one
 
-MissionListener = Callable[[MissionEvent], None]
+MissionListener = Callable[[events.MissionEvent], None]
 """Called with each event, progress excepted."""
 
 
@@ -200,16 +191,16 @@ class ActiveMission:
         finally:
             self._flight = self.stopping = None
 
-    def _tell(self, event: MissionEvent) -> None:
-        if isinstance(event, Reached):
+    def _tell(self, event: events.MissionEvent) -> None:
+        if isinstance(event, events.Reached):
             self._journal.note(f"waypoint {event.index} reached")
-        elif isinstance(event, Aborted):
+        elif isinstance(event, events.Aborted):
             self._journal.note(f"the aircraft broke the mission off: {event.reason}", "warning")
-        elif isinstance(event, Finished):
+        elif isinstance(event, events.Finished):
             self._is_landing = self._ends_by_landing
-        elif isinstance(event, Stopped):
+        elif isinstance(event, events.Stopped):
             self._ended_because = self._ended_because or "its client stopped it"
-        if self.on_event is not None and not isinstance(event, MissionProgress):
+        if self.on_event is not None and not isinstance(event, events.MissionProgress):
             self.on_event(event)
 
     def flight(self, kind: type[F]) -> F:
@@ -229,8 +220,7 @@ class ActiveMission:
     async def stop(self) -> None:
         """Stop it, also while it begins; done when something else may fly.
 
-        Raises:
-            AckTimeout, MissionRefused, MissionAborted, LinkError: It may be flying on.
+        Raises AckTimeout, MissionRefused, MissionAborted, LinkError: it may be flying on.
         """
         flight = self._flight
         if flight is None:
@@ -293,14 +283,14 @@ def look_at(future: asyncio.Future[None]) -> None:
         future.exception()
 
 
-def push_of(event: MissionEvent) -> tuple[int, bytes] | None:
+def push_of(event: events.MissionEvent) -> tuple[int, bytes] | None:
     """The push (0x02/0x04) that tells of an event; None for what only this program knows."""
-    if isinstance(event, Uploaded):
+    if isinstance(event, events.Uploaded):
         return 0, bytes((1, *round(event.estimated_time or 0).to_bytes(2, "little"), 0, 0))
-    if isinstance(event, Finished):
+    if isinstance(event, events.Finished):
         return 1, bytes(5)
-    if isinstance(event, Reached):
+    if isinstance(event, events.Reached):
         return 2, bytes((event.index, 4, 0, 0, 0))
-    if isinstance(event, ActionsDone):
+    if isinstance(event, events.ActionsDone):
         return 2, bytes((event.index, 6, 0, 0, 0))
     return None

@@ -12,34 +12,9 @@ from functools import partial
 from typing import Any
 
 from m100link.aircraft import Aircraft
+from m100link.apps.agent import messages
 from m100link.apps.agent.background import TokenBucket, call_each, goes_on, ignore
 from m100link.apps.agent.lease import Flown, Lease, LeaseChange, LeaseRefused, TakeOver
-from m100link.apps.agent.messages import (
-    LEVELS,
-    VERSION,
-    Activating,
-    Ask,
-    AuthorityTaken,
-    Event,
-    EventTopic,
-    Hello,
-    JournalNote,
-    LeaseChanged,
-    LinkCounted,
-    Message,
-    MessageError,
-    MissionReport,
-    MobileMessage,
-    OrderOutcome,
-    RemoteError,
-    Replay,
-    Stage,
-    State,
-    Steer,
-    SteerRefused,
-    Telemetry,
-    fault_of,
-)
 from m100link.apps.agent.orders import Halt
 from m100link.apps.agent.server.agent import Agent, Answer
 from m100link.apps.agent.server.mission import push_of
@@ -91,14 +66,14 @@ class AgentServer:
 
     # -- messages to fronts ----------------------------------------------------------------------
 
-    def _tell(self, message: Message) -> None:
+    def _tell(self, message: messages.Message) -> None:
         call_each([front.tell for front in self._fronts], message)
 
     def _sample(self, sample: Sample) -> None:
         self._tell_state()
         # A profile of one's own is not known to a front under its name.
         if self._fronts and PROFILES.get(sample.profile.name) is sample.profile:
-            self._tell(Telemetry(sample.value, sample.profile.name, sample.received_at))
+            self._tell(messages.Telemetry(sample.value, sample.profile.name, sample.received_at))
 
     def _aircraft_changed(self, aircraft: Aircraft | None) -> None:
         self._tell_state()
@@ -106,31 +81,31 @@ class AgentServer:
             self._agent.background.spawn(self._watch_mobile(aircraft), "data of the app")
 
     async def _watch_mobile(self, aircraft: Aircraft) -> None:
-        async with aircraft.from_mobile() as messages:
-            async for data in messages:
-                self._tell(MobileMessage(data))
+        async with aircraft.from_mobile() as came:
+            async for data in came:
+                self._tell(messages.MobileMessage(data))
 
-    def _event(self, event: Event) -> None:
+    def _event(self, event: messages.Event) -> None:
         self._tell_state()
         self._tell(event)
 
     def _activating(self, code: ActivationCode) -> None:
-        self._tell(Activating(int(code)))
+        self._tell(messages.Activating(int(code)))
 
     def _authority_taken(self, error: AuthorityLost) -> None:
         self._tell_state()
-        self._tell(AuthorityTaken(RemoteError.of(error)))
+        self._tell(messages.AuthorityTaken(messages.RemoteError.of(error)))
 
     def _mission_event(self, event: MissionEvent) -> None:
         push = push_of(event)
         if push is not None:
-            self._tell(MissionReport(*push))
+            self._tell(messages.MissionReport(*push))
 
     def _lease_changed(self, why: LeaseChange, lease: Lease | None, flown: Flown) -> None:
         number, name = (lease.number, lease.name) if lease is not None else (0, "")
         for front in self._fronts:
             front.forget_leases(but=number)
-        self._tell(LeaseChanged(number, name, why, flown))
+        self._tell(messages.LeaseChanged(number, name, why, flown))
         self._tell_state()
 
     async def _keep_telling(self) -> None:
@@ -157,7 +132,9 @@ class AgentServer:
             trips = counted.round_trips
             classes = dict(zip(_BOUNDS, trips.counts, strict=True))
             self._tell(
-                LinkCounted(self._agent.now, counters, discards, lag, classes, trips.total_s)
+                messages.LinkCounted(
+                    self._agent.now, counters, discards, lag, classes, trips.total_s
+                )
             )
 
     def _tell_state(self) -> None:
@@ -182,11 +159,11 @@ class AgentServer:
             if self._fronts:
                 self._tell(self._state())
 
-    def _replay_changed(self, its: Replay | None) -> object:
+    def _replay_changed(self, its: messages.Replay | None) -> object:
         """The settings of a replay that people change; its place changes by itself."""
         return its and (its.rate, its.is_paused, its.clock - its.position_s)
 
-    def _state(self) -> State:
+    def _state(self) -> messages.State:
         """The state as :meth:`_tell_state` saw it last, with what changes all the time."""
         agent, now = self._agent, self._agent.now
         connection, error, is_activated, code, fault, holding, has_authority, *rest = self._sent
@@ -195,14 +172,14 @@ class AgentServer:
         mission = mission or MissionState()
         aircraft, flying = agent.connection.aircraft, agent.holding.flying
         link = aircraft.statistics() if aircraft is not None else None
-        return State(
+        return messages.State(
             at=now,
             connection=connection.value,
-            connection_fault=fault_of(error),
+            connection_fault=messages.fault_of(error),
             firmware=str(aircraft.firmware) if aircraft is not None else "",
             is_activated=bool(is_activated),
             activation_code=None if code is None else int(code),
-            activation_fault=fault_of(fault),
+            activation_fault=messages.fault_of(fault),
             holding=holding.value,
             has_authority=has_authority,
             task=task or "",
@@ -260,27 +237,31 @@ class ClientSession:
         self._unbegun = 0
         self._notes = TokenBucket(_NOTES_PER_S, _MAX_NOTES)
         self._handlers: dict[type[Any], Callable[[Any], None]] = {
-            Steer: self._on_steer,
-            Ask: self._on_ask,
-            JournalNote: self._on_note,
+            messages.Steer: self._on_steer,
+            messages.Ask: self._on_ask,
+            messages.JournalNote: self._on_note,
         }
 
     # -- the connection --------------------------------------------------------------------------
 
-    def greet(self, state: State) -> None:
+    def greet(self, state: messages.State) -> None:
         """Say hello and where everything stands, then listen."""
         agent = self._agent
         # First, so that a front of another version parts before it reads anything else.
-        self.tell(Hello(VERSION, "agent", agent.now))
+        self.tell(messages.Hello(messages.VERSION, "agent", agent.now))
         lease = agent.leases.holder(agent.now)
-        self.tell(LeaseChanged(lease.number, lease.name) if lease else LeaseChanged(0, ""))
+        self.tell(
+            messages.LeaseChanged(lease.number, lease.name)
+            if lease
+            else messages.LeaseChanged(0, "")
+        )
         self.tell(state)
         self.tell(agent.plan)
         for event in agent.journal.events:
             self.tell(event)
         self._channel.open(self._receive, self._closed)
 
-    def tell(self, message: Message) -> None:
+    def tell(self, message: messages.Message) -> None:
         self._channel.send(message)
 
     def close(self, reason: str) -> None:
@@ -305,11 +286,11 @@ class ClientSession:
         """Leases that have ended are of no use."""
         self._tokens = {number: one for number, one in self._tokens.items() if number == but}
 
-    def _receive(self, message: Message) -> None:
-        if isinstance(message, Hello) and not self._name:
+    def _receive(self, message: messages.Message) -> None:
+        if isinstance(message, messages.Hello) and not self._name:
             # Fields of another version may have another meaning: nobody flies by a guess.
-            if message.version != VERSION:
-                self.close(f"this agent speaks version {VERSION}, not {message.version}")
+            if message.version != messages.VERSION:
+                self.close(f"this agent speaks version {messages.VERSION}, not {message.version}")
                 return
             self._name = message.name or "a front"
             return
@@ -321,7 +302,7 @@ class ClientSession:
 
     # -- setpoints -------------------------------------------------------------------------------
 
-    def _on_steer(self, steer: Steer) -> None:
+    def _on_steer(self, steer: messages.Steer) -> None:
         age = self._agent.now - steer.sent_at
         try:
             # A time ahead of ours would make it young for as long.
@@ -339,15 +320,15 @@ class ClientSession:
             self._agent.steer(token, steer.setpoint, steer.lifetime)
         except M100Error as error:
             self._before_outcome()
-            self.tell(SteerRefused(steer.fence, RemoteError.of(error)))
+            self.tell(messages.SteerRefused(steer.fence, messages.RemoteError.of(error)))
 
     # -- everything else -------------------------------------------------------------------------
 
-    def _on_note(self, note: JournalNote) -> None:
-        if note.level in LEVELS and self._notes.take(self._agent.now):
+    def _on_note(self, note: messages.JournalNote) -> None:
+        if note.level in messages.LEVELS and self._notes.take(self._agent.now):
             self._agent.journal.note(_line(note.text), note.level)
 
-    def _on_ask(self, ask: Ask) -> None:
+    def _on_ask(self, ask: messages.Ask) -> None:
         order, lease = ask.order, ask.fence if ask.fence in self._tokens else 0
         if order.is_at_once:
             with self._answering(ask):
@@ -357,17 +338,17 @@ class ClientSession:
                         # Orders heard earlier begin first, and end then.
                         self._agent.background.spawn(self._hover(ask), f"hover for {self._name}")
                     self._report_hover(order.why)
-                self._answer(ask, Stage.DONE, answer=answer)
+                self._answer(ask, messages.Stage.DONE, answer=answer)
         elif self._asks[lease] >= _MAX_ASKS and not order.ends:
             too_many = UsageError(f"{self._asks[lease]} questions of this front wait already")
-            self._answer(ask, Stage.FAILED, too_many)
+            self._answer(ask, messages.Stage.FAILED, too_many)
         else:
             self._asks[lease] += 1
             self._unbegun += 1
             name = f"{order.label} for {self._name}"
             self._agent.background.spawn(self._carry_out(ask, lease), name)
 
-    async def _hover(self, ask: Ask) -> None:
+    async def _hover(self, ask: messages.Ask) -> None:
         self._begin(ask)
 
     def _report_hover(self, why: str) -> None:
@@ -375,19 +356,27 @@ class ClientSession:
         agent, now = self._agent, self._agent.now
         holder = agent.leases.holder(now)
         if holder is not None and holder.number not in self._tokens and self._notes.take(now):
-            agent.journal.note(_line(why or f"{self._name}: hover"), "info", EventTopic.HALTED)
+            agent.journal.note(
+                _line(why or f"{self._name}: hover"), "info", messages.EventTopic.HALTED
+            )
 
-    def _begin(self, ask: Ask) -> Any:
+    def _begin(self, ask: messages.Ask) -> Any:
         token = self._tokens.get(ask.fence, "")
-        accepted = partial(self._answer, ask, Stage.ACCEPTED) if ask.hears_begin else ignore
+        accepted = (
+            partial(self._answer, ask, messages.Stage.ACCEPTED) if ask.hears_begin else ignore
+        )
         asked_at = math.inf if ask.sent_at is None else ask.sent_at
         return self._agent.begin(ask.order, token, accepted, asked_at)
 
     def _answer(
-        self, ask: Ask, stage: Stage, error: M100Error | None = None, answer: Answer = None
+        self,
+        ask: messages.Ask,
+        stage: messages.Stage,
+        error: M100Error | None = None,
+        answer: Answer = None,
     ) -> None:
         self._before_outcome()
-        outcome = OrderOutcome(ask.id, stage, fault_of(error))
+        outcome = messages.OrderOutcome(ask.id, stage, messages.fault_of(error))
         if isinstance(answer, Lease):
             self._tokens[answer.number] = answer.token
             outcome = replace(outcome, lease=answer)
@@ -398,29 +387,29 @@ class ClientSession:
         if ask.id:
             self.tell(outcome)
 
-    async def _carry_out(self, ask: Ask, lease: int) -> None:
+    async def _carry_out(self, ask: messages.Ask, lease: int) -> None:
         self._unbegun -= 1
         try:
             with self._answering(ask):
-                self._answer(ask, Stage.DONE, answer=await self._begin(ask))
+                self._answer(ask, messages.Stage.DONE, answer=await self._begin(ask))
         finally:
             self._asks[lease] -= 1
             if not self._asks[lease]:
                 del self._asks[lease]
 
     @contextmanager
-    def _answering(self, ask: Ask) -> Iterator[None]:
+    def _answering(self, ask: messages.Ask) -> Iterator[None]:
         try:
             yield
         except M100Error as error:
-            self._answer(ask, Stage.FAILED, error)
+            self._answer(ask, messages.Stage.FAILED, error)
         except asyncio.CancelledError:  # of its work, or the agent ends: nobody waits for ever
             given_up = NotObserved(f"{ask.order.label}: the agent gave it up before its end")
-            self._answer(ask, Stage.FAILED, given_up)
+            self._answer(ask, messages.Stage.FAILED, given_up)
             raise
         except Exception:
-            fault = MessageError("the agent failed", remedy="see its log; report it")
-            self._answer(ask, Stage.FAILED, fault)
+            fault = messages.MessageError("the agent failed", remedy="see its log; report it")
+            self._answer(ask, messages.Stage.FAILED, fault)
             raise
 
 

@@ -49,12 +49,9 @@ class MissionManager:
     async def upload(self, lease: Lease, plan: UploadPlan, by: str) -> str:
         """Take a plan; the aircraft does not get it yet.
 
-        Returns its digest, by which it is started.
-
-        Raises:
-            UsageError: It is none that this version can read, or cannot be flown.
-            MissionRunning: One flies.
-            M100Error: As the agent tells.
+        Returns its digest, by which it is started. Raises UsageError: it is none that this version
+        can read, or cannot be flown. Raises MissionRunning: one flies. Raises M100Error: as the
+        agent tells.
         """
         async with self._telling:
             after(self.stage, MissionInput.UPLOADED)
@@ -76,10 +73,8 @@ class MissionManager:
     async def start(self, lease: Lease, order: StartMission, asked_at: float | None) -> None:
         """Let the plan fly; done when it has begun, or when it is over.
 
-        Raises:
-            UsageError: It is another plan, there is none, or one is being uploaded.
-            MissionRunning: One flies.
-            M100Error: As the agent tells.
+        Raises UsageError: it is another plan, there is none, or one is being uploaded. Raises
+        MissionRunning: one flies. Raises M100Error: as the agent tells.
         """
         after(self.stage, MissionInput.ASKED)
         if self._telling.locked():
