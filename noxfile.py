@@ -45,7 +45,7 @@ COVERED = {
     "missions flight log mavlink station": 97,
     "bus doctor": 95,
     "cli": 91,
-    "sync": 90,
+    "sync": 94,
 }
 PYTHONS = ["3.11", "3.12", "3.13", "3.14"]
 GET_VERSION = "aa130001000000000500302e000000b493113d"  # a version query in a frame
