@@ -8,6 +8,7 @@ may have been carried out never gets a new id.
 from __future__ import annotations
 
 import asyncio
+import math
 import time
 import uuid
 from collections.abc import Callable, Collection, Iterable
@@ -197,14 +198,19 @@ class Asker:
         reply = self._read(answers, asked, asked_at)
         return reply if isinstance(reply, OrderReply) else None
 
-    async def once(self, key: str, asked: Asked, *, within: float) -> OrderReply | None:
+    async def once(
+        self, key: str, asked: Asked, *, within: float, began_at: float = math.inf
+    ) -> OrderReply | None:
         """Ask once, by a new order, what is asked under a key of its own.
+
+        ``began_at``: when its request began, by the event loop's clock, s; by default now.
 
         Returns the answer, whatever it says; None when none came in time. Raises MessageError: the
         answer cannot be read. Raises OutcomeUnknown: two agents answered, or the reply belongs to
         another order.
         """
-        order, asked_at = self.around(asked), self._clock()
+        asked_at = self._clock()
+        order = self.around(asked, since=self.its_time(began_at))
         # Looked for beside it: what ends a show waits for nothing.
         answers, _ = await asyncio.gather(
             self.bus.ask(key, pack(order), timeout=within), self.is_there()
@@ -213,6 +219,12 @@ class Asker:
         if isinstance(reply, MessageError):
             raise reply
         return reply
+
+    def its_time(self, at: float) -> float:
+        """The earliest time that its clock may have shown at that time of ours, s; 0: unknown."""
+        now = self._clock()
+        its = self.its_clock.at_least(now)
+        return its and its - max(0.0, now - at)
 
     def is_of_aircraft(self, answer: QueryAnswer) -> bool:
         """Whether it comes from a session that shows the aircraft's token."""

@@ -307,11 +307,9 @@ class FleetChannel(ChannelEnd):
             self._answer(ask.id, None, error)
             return
         self._asks += 1
-        # Stamped as it is said, not as its turn comes.
-        now = self._clock()
-        clock = since = self._its_clock.at_least(now)
-        if clock != 0.0 and ask.sent_at is not None:
-            since -= now - ask.sent_at  # it may be a step of a request that began earlier
+        # Stamped as it is said, not as its turn comes; it may be a step of an earlier request.
+        clock = self._asker.its_time(math.inf)
+        since = clock if ask.sent_at is None else self._asker.its_time(ask.sent_at)
 
         async def carry_out() -> None:
             try:

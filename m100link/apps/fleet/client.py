@@ -98,10 +98,9 @@ class FleetAircraft:
         asker, clock = self.asker, asyncio.get_running_loop().time
         asker.doubtful_clocks, began_at = [], clock()
         for left in reversed(range(_LANDINGS_ASKED)):
-            its = asker.its_clock.at_least(clock())
             try:
                 # A STOP since the first time ends it.
-                await asker.ask(Land(), since=its and its - (clock() - began_at))
+                await asker.ask(Land(), since=asker.its_time(began_at))
             except GuardRefused as error:
                 # It was not begun, and the answer had the time there: that is known now.
                 if error.guard != ORDER_AGE or not left:

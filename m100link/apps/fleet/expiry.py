@@ -42,14 +42,17 @@ class OrderExpiry:
             raise _late("what its asker asked for later was heard before it", made_at, now)
         self._newest = (fence, made_at)
 
-    def check(self, behind: AfterStop, made_at: float, now: float) -> None:
+    def check(
+        self, behind: AfterStop, made_at: float, now: float, began_at: float = math.inf
+    ) -> None:
         """Refuse an order that came too late as it is about to be carried out.
 
         ``behind``: whether it is done behind a STOP. ``made_at``: when it was made at the
-        earliest, s. ``now``: s.
+        earliest, s. ``began_at``: when the request began of which it is a step, s; by default as
+        it. ``now``: s.
         """
         require_young(made_at, now)
-        if made_at <= self.not_before and behind is not AfterStop.DONE:
+        if min(made_at, began_at) <= self.not_before and behind is not AfterStop.DONE:
             raise _late("stop, hover or landing was asked for after it was made", made_at, now)
 
 

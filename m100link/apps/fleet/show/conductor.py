@@ -88,6 +88,7 @@ class Conductor:
         self._run = uuid.uuid4().hex
         self._tell = tell
         self._clock = asyncio.get_running_loop().time
+        self._began_at = self._clock()  # a STOP since then overtakes each step
 
     async def fly(self) -> dict[str, Part]:
         """Fly it.
@@ -98,6 +99,7 @@ class Conductor:
         Raises:
             M100Error: One of them could not begin. None has begun, and all that flew hover.
         """
+        self._began_at = self._clock()
         attending = asyncio.create_task(self._attend(), name="m100link: conductor of a show")
         try:
             await self._each(self._load)
@@ -148,7 +150,9 @@ class Conductor:
         """One question; each try is an order of its own, which the stage admits once."""
         asker = self._askers[track.name]
         for _ in range(_TRIES):
-            reply = await asker.once(asker.keys.show, asked, within=_ANSWER_S)
+            reply = await asker.once(
+                asker.keys.show, asked, within=_ANSWER_S, began_at=self._began_at
+            )
             if reply is not None:
                 if reply.fault is not None:
                     raise reply.fault.error()

@@ -138,6 +138,25 @@ async def test_one_that_does_not_land_behind_its_track_is_named(rig: Rig) -> Non
     assert any("did not land: land was refused" in one for one in made.told)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("after", [0.1, 0.5, 0.9, 1.3])
+async def test_a_stop_while_tracks_are_uploaded_lets_nobody_take_off(
+    rig: Rig, after: float
+) -> None:
+    """Somebody sees that the wrong show begins, or people among the aircraft."""
+    async with company(rig, 1) as made:
+        rig.network.weather = Weather(delay_s=0.2)
+        flying = asyncio.ensure_future(made.conductor().fly())
+        await anyio.sleep(after)
+        assert made.performing[0].performer.stage is not ShowStage.PLACING
+        await made.on_board[0].agent.stop()
+        with pytest.raises(GuardRefused, match="stop, hover or landing was asked for after it"):
+            await flying
+        assert made.on_board[0].height == 0.0
+        rig.network.weather = Weather()
+        assert stages(await made.conductor(leave="hover").fly()) == [ShowStage.FLOWN]
+
+
 async def test_those_that_are_ready_wait_for_one_that_is_long_on_its_way(
     rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
