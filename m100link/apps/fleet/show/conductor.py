@@ -110,6 +110,7 @@ class Conductor:
             start_at = self._clock() + _COUNTDOWN_S
             await self._each(lambda track: self._start(track, start_at))
             self._tell(f"the show begins in {start_at - self._clock():.1f} s")
+            await asyncio.sleep(start_at - self._clock())  # until then all may leave again
         except BaseException:
             await asyncio.shield(self.leave())
             raise

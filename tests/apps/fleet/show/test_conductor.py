@@ -250,15 +250,21 @@ async def test_an_operator_without_the_right_to_fly_conducts_nothing(
         assert made.on_board[0].height == 0
 
 
-async def test_a_conductor_that_is_ended_lets_all_of_them_leave(rig: Rig) -> None:
+@pytest.mark.parametrize("when", ["on their way", "in the countdown"])
+async def test_a_conductor_that_is_ended_lets_all_of_them_leave(rig: Rig, when: str) -> None:
     async with company(rig, 2) as made:
         conducting = asyncio.ensure_future(made.conductor().fly())
-        await anyio.sleep(6.0)
+        if when == "in the countdown":
+            await rig.until(lambda: any("begins in" in one for one in made.told))
+            await anyio.sleep(4.0)
+        else:
+            await anyio.sleep(6.0)
         conducting.cancel()
         await asyncio.gather(conducting, return_exceptions=True)
         await anyio.sleep(3.0)
         assert all(one.speed < 0.1 for one in made.on_board)
         assert all(one.client.holder.number == 0 for one in made.on_board)
+        assert {one.performer.stage for one in made.performing} == {ShowStage.LEFT}
 
 
 async def test_a_network_that_is_too_slow_to_tell_the_time_begins_nothing(rig: Rig) -> None:
