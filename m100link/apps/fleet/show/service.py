@@ -161,15 +161,8 @@ class ShowService:
                 performer.load(bytes(self._pieces), asked.leave, known, asked.run)
             case payloads.TakePlace():
                 self._placed_by = order.signer
-        began_at = order.since or order.clock
-        if isinstance(asked, payloads.LoadTrack | payloads.TakePlace | payloads.StartShow):
-            # It takes off: not minutes later, when the conductor has given up, nor behind a STOP
-            # since the show was begun, such as while its tracks were uploaded.
-            performer.ages.check(AfterStop.ANEW, order.clock, self._client.now, began_at)
-        if (
-            isinstance(asked, payloads.TakePlace | payloads.StartShow)
-            and self._duplicates is not None
-        ):
+                performer.place(order.signer or order.by, began_at)
+            case payloads.StartShow():
                 performer.start(asked.digest, asked.at, asked.bound)
             case payloads.LeaveShow():
                 performer.leave()
