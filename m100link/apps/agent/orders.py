@@ -75,7 +75,7 @@ class Order:
     after_stop: ClassVar[AfterStop] = AfterStop.ANEW  #: DONE where it moves nothing
     #: Whether it is done as it is heard, before orders that were heard and have not begun.
     is_at_once: ClassVar[bool] = False
-    #: Whether it ends a movement or gives control back: no limit of any front drops or delays it.
+    #: Whether it ends a movement or gives control back. No limit of any front drops or delays it.
     ends: ClassVar[bool] = False
     label: ClassVar[str]  #: its name for people
 
