@@ -20,7 +20,6 @@ from typing import Any
 from urllib.parse import urlsplit
 from zlib import crc32
 
-from m100link.apps.agent.background import is_set_within
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.control_session import ControlSession
 from m100link.apps.mavlink.order_executor import OrderExecutor
@@ -309,7 +308,9 @@ class Bridge:
         self._stepped_at, self._is_short = self._clock(), False
         self._is_due.clear()
         self._hurry()
-        await is_set_within(self._is_due, IDLE_STEP_S)
+        timer = asyncio.get_running_loop().call_later(IDLE_STEP_S, self._is_due.set)
+        await self._is_due.wait()
+        timer.cancel()
 
     def _hurry(self) -> None:
         """Rest for a short time if something waits or flies."""
