@@ -45,7 +45,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         own = ["--station", options.station] if options.station else []
         own += ["--workspace", str(options.workspace)] if options.workspace else []
         try:
-            raise SystemExit(run_launch(program, rest[1:], command_of(own)))
+            raise SystemExit(run_launch(program, rest[1:], command_of(own), options.station))
         except LaunchError as error:
             parser.error(str(error))
     run_program(program, rest[1:], address=options.station, workspace=options.workspace)

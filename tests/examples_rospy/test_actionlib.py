@@ -38,7 +38,7 @@ class Played:
     def subscribe(self, name: str, kind: str, callback: Callable[[Message], None]) -> None:
         self._callbacks[name.removeprefix(f"{NAME}/")] = callback
 
-    def publish(self, name: str, message: Message) -> None:
+    def publish(self, name: str, message: Message, *, latch: bool = False) -> None:
         self.sent.append((name.removeprefix(f"{NAME}/"), message))
 
     def tell(self, part: str, **message: Any) -> None:

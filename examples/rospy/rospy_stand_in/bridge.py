@@ -1,4 +1,4 @@
-"""One connection to rosbridge for a program with threads, and the topics inside the program.
+"""One connection to rosbridge for a program with threads, and its topics beside the station's.
 
 Callbacks of a topic run in a thread of the topic, one after the other, as in rospy. Of
 messages that are published faster than the station takes them the newest of each topic is sent.
@@ -21,6 +21,7 @@ from m100link.apps.agent.background import TokenBucket
 from m100link.apps.station.ros.graph import canonical_name
 from m100link.apps.station.ros.messages import Message
 from m100link.errors import LinkError, LinkLost
+from rospy_stand_in.peers import Peers
 
 ADDRESS = "ws://127.0.0.1:9090"
 """Where ``m100link serve`` listens by default."""
@@ -59,6 +60,11 @@ class _Topic:
                 callback(message)
 
 
+def address_of(given: str) -> str:
+    """The station's, if none is given."""
+    return given or os.environ.get("M100LINK_ROSBRIDGE") or ADDRESS
+
+
 class RosbridgeClient:
     """The way of a program to a station. Everything here may be called from any thread.
 
@@ -73,12 +79,13 @@ class RosbridgeClient:
         on_lost: Callable[[str], None] = lambda _: None,  # the connection has ended
         on_status: Callable[[str, str], None] = lambda *_: None,  # level and text for people
     ) -> None:
-        self.address = address or os.environ.get("M100LINK_ROSBRIDGE") or ADDRESS
+        self.address = address_of(address)
         self._on_lost, self._on_status = on_lost, on_status
         self._lock = threading.RLock()
         self._topics: dict[str, _Topic] = {}
         self._answers: dict[str, queue.Queue[dict[str, Any]]] = {}
         self._advertised: set[str] = set()
+        self._kept: dict[str, Message] = {}  # by topic that is not the station's: the latched one
         self._pace = TokenBucket(_RATE, _AT_ONCE)
         self._pending: dict[str, str] = {}  # by topic: the newest that waits for its turn
         self._waits = threading.Condition(self._lock)
@@ -94,10 +101,12 @@ class RosbridgeClient:
         listed = self.call("/rosapi/topics", {})
         #: Topics of the station, and their types.
         self.topics: Mapping[str, str] = dict(zip(listed["topics"], listed["types"], strict=True))
+        self.peers = Peers(self.address, self._put)
 
     def close(self) -> None:
         with self._lock:
             self.lost = self.lost or "the program has ended"
+        self.peers.close()
         self._stack.close()
 
     # -- what comes in ---------------------------------------------------------------------------
@@ -118,12 +127,15 @@ class RosbridgeClient:
         if is_new:
             self._on_lost(why)
 
+    def _put(self, name: str, message: Message) -> None:
+        topic = self._topics.get(name)
+        if topic is not None:
+            topic.put(message)
+
     def _take(self, message: dict[str, Any]) -> None:
         operation = message.get("op")
         if operation == "publish":
-            topic = self._topics.get(canonical_name(message["topic"]))
-            if topic is not None:
-                topic.put(message["msg"])
+            self._put(canonical_name(message["topic"]), message["msg"])
         elif operation == "service_response":
             waiting = self._answers.get(str(message.get("id")))
             if waiting is not None:
@@ -158,6 +170,10 @@ class RosbridgeClient:
             topic.callbacks.append(callback)
         if is_new and self.is_of_station(name):
             self._send_in_turn({"op": "subscribe", "topic": name, "type": kind})
+        elif is_new:
+            self.peers.hear(name)
+        if name in self._kept:
+            callback(self._kept[name])
 
     def unsubscribe(self, name: str, callback: Callback) -> None:
         with self._lock:
@@ -167,9 +183,10 @@ class RosbridgeClient:
             topic.callbacks.remove(callback)
 
     def listeners(self, name: str) -> int:
-        """How many receive what is published on a topic: the station, and those in the program."""
+        """How many receive what is published on a topic: the station or others, and here."""
         topic = self._topics.get(name)
-        return int(self.is_of_station(name)) + (len(topic.callbacks) if topic else 0)
+        others = 1 if self.is_of_station(name) else self.peers.listeners(name)
+        return others + (len(topic.callbacks) if topic else 0)
 
     def advertise(self, name: str, kind: str) -> None:
         with self._lock:
@@ -178,15 +195,18 @@ class RosbridgeClient:
             self._advertised.add(name)
         self._send_in_turn({"op": "advertise", "topic": name, "type": kind})
 
-    def publish(self, name: str, message: Message) -> None:
+    def publish(self, name: str, message: Message, *, latch: bool = False) -> None:
         """Publish now, or as soon as the station takes more; the newest of a topic counts.
+
+        ``latch``: who subscribes later gets the newest, too, unless the topic is the station's.
 
         Raises ``LinkLost``: the station has gone.
         """
         if not self.is_of_station(name):
-            topic = self._topics.get(name)
-            if topic is not None:
-                topic.put(message)
+            if latch:
+                self._kept[name] = message
+            self._put(name, message)
+            self.peers.publish(name, message, latch=latch)
             return
         frame = json.dumps({"op": "publish", "topic": name, "msg": message})
         with self._lock:

@@ -22,9 +22,11 @@ from typing import Any
 from xml.etree import ElementTree
 
 from rospy_stand_in import node
+from rospy_stand_in.bridge import address_of
 from rospy_stand_in.modules import FOLDERS
 from rospy_stand_in.packages import packages_of
 from rospy_stand_in.parameters import value_of
+from rospy_stand_in.peers import PARAMETERS, sharing
 
 _SUBSTITUTION = re.compile(r"\$\((\w+)\s*([^()]*)\)")
 _STEP_S = 0.1
@@ -215,30 +217,33 @@ def _program(package: str, name: str) -> Path | None:
     return None
 
 
-def run_launch(file: Path, arguments: Sequence[str], command: Sequence[str]) -> int:
+def run_launch(
+    file: Path, arguments: Sequence[str], command: Sequence[str], station: str = ""
+) -> int:
     """Run the nodes of a launch file until they have ended; the worst exit status.
 
     ``command`` runs a program of rospy: its path and arguments follow. Raises ``LaunchError``.
     """
-    launch = LaunchFile(file.resolve(), arguments)
+    launch, station = LaunchFile(file.resolve(), arguments), address_of(station)
     for one in launch.left_out:
         node.loginfo("%s is no Python program of a package here: it is not started", one)
     if not launch.nodes:
         raise LaunchError(f"{file} starts no Python program of the packages around it")
-    environment = os.environ | {node.PARAMETERS: json.dumps(launch.parameters)}
+    environment = os.environ | {PARAMETERS: json.dumps(launch.parameters)}
     running = []
     for each in launch.nodes:
         node.loginfo("%s: %s", each.name, each.program)
         own = {"ROS_NAMESPACE": each.namespace.strip("/")}
         whole = [*command, str(each.program), *each.arguments]
         running.append(subprocess.Popen(whole, env=environment | own))
-    try:
-        while any(process.poll() is None for process in running):
-            time.sleep(_STEP_S)
-    except KeyboardInterrupt:  # the terminal interrupts them, too
-        for process in running:
-            process.send_signal(signal.SIGINT)
-    return max(abs(process.wait()) for process in running)
+    with sharing(station, launch.parameters):
+        try:
+            while any(process.poll() is None for process in running):
+                time.sleep(_STEP_S)
+        except KeyboardInterrupt:  # the terminal interrupts them, too
+            for process in running:
+                process.send_signal(signal.SIGINT)
+        return max(abs(process.wait()) for process in running)
 
 
 def command_of(options: Sequence[str]) -> list[str]:

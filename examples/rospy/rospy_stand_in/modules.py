@@ -92,9 +92,8 @@ def _tf() -> dict[str, Any]:
 def _tf2_ros() -> dict[str, Any]:
     return _tf() | {
         "TransformListener": transforms.Tf2Listener,
-        **dict.fromkeys(
-            ("TransformBroadcaster", "StaticTransformBroadcaster"), transforms.Tf2Broadcaster
-        ),
+        "TransformBroadcaster": transforms.Tf2Broadcaster,
+        "StaticTransformBroadcaster": transforms.StaticBroadcaster,
         "Buffer": transforms.Buffer,
     }
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import atexit
-import json
 import os
 import re
 import signal
@@ -17,7 +16,7 @@ from typing import Any
 
 from m100link.apps.station.ros.messages import Message
 from m100link.errors import LinkError, M100Error
-from rospy_stand_in.bridge import RosbridgeClient, report
+from rospy_stand_in.bridge import RosbridgeClient, address_of, report
 from rospy_stand_in.genpy import (
     RosDuration,
     RosMessage,
@@ -28,12 +27,12 @@ from rospy_stand_in.genpy import (
     to_json,
 )
 from rospy_stand_in.parameters import ParameterStore, value_of
+from rospy_stand_in.peers import shared_parameters
 
 DEBUG, INFO, WARN, ERROR, FATAL = 1, 2, 4, 8, 16
 _NAMES = {DEBUG: "DEBUG", INFO: "INFO", WARN: "WARN", ERROR: "ERROR", FATAL: "FATAL"}
 _STEP_S = 0.05  # of a wait that a shutdown ends
 _REMAPPING = re.compile(r"^[~/\w]+:=")
-PARAMETERS = "M100LINK_ROSPY_PARAMETERS"  # names and values as JSON, in the environment
 _PATIENCE_S = 3.0  # of a wait for what does not exist, before the person hears of it
 
 
@@ -139,8 +138,13 @@ _node = _Node()
 def configure(address: str, token: str) -> None:
     """Where the station is; before the program runs. A launch file has set its parameters."""
     _node.address, _node.token = address, token
-    for name, value in json.loads(os.environ.get(PARAMETERS, "{}")).items():
+    for name, value in shared_parameters(address_of(address)).items():
         set_param(name, value)
+
+
+def opened() -> RosbridgeClient | None:
+    """The connection, if the program has one by now."""
+    return _node.bridge
 
 
 def note_goal(name: str, *, is_under_way: bool) -> None:
@@ -308,7 +312,7 @@ class Topic:
         self.data_class, self.type, self.md5sum = data_class, data_class._type, "*"
         self._bridge = _node.connected()
         if not self._bridge.is_of_station(self.name):
-            _node.say_once(f"{self.name} is no topic of the station: it stays in this program")
+            _node.say_once(f"{self.name} is no topic of the station: only programs here have it")
 
     def get_num_connections(self) -> int:
         return self._bridge.listeners(self.name)
@@ -328,7 +332,7 @@ class Publisher(Topic):
         super().__init__(name, data_class)
         self._bridge.advertise(self.name, self.type)
         self._sequence = 0
-        self._is_over = False
+        self._is_over, self._latch = False, latch
 
     def publish(self, *values: Any, **named: Any) -> None:
         if not _node.is_initialised:
@@ -343,7 +347,7 @@ class Publisher(Topic):
         if self.data_class._has_header and isinstance(getattr(message, "header", None), RosMessage):
             message.header.seq = self._sequence  # type: ignore[attr-defined]  # it has one
         try:
-            self._bridge.publish(self.name, to_json(message))
+            self._bridge.publish(self.name, to_json(message), latch=self._latch)
         except SerializationError as error:
             raise ROSSerializationException(f"{self.name}: {error}") from None
         except LinkError as error:
@@ -450,8 +454,12 @@ class ServiceProxy:
         offered = _node.services.get(self.name)
         if offered is not None:
             return offered(request)
+        bridge = _node.connected()
         try:
-            answer = _node.connected().call(self.name, to_json(request))
+            if bridge.peers.offers(self.name):
+                answer = bridge.peers.call(self.name, to_json(request))
+            else:
+                answer = bridge.call(self.name, to_json(request))
         except SerializationError as error:
             raise ROSSerializationException(f"{self.name}: {error}") from None
         except M100Error as error:
@@ -467,7 +475,7 @@ class ServiceProxy:
 
 
 class Service:
-    """A service that the program offers: to itself, because the station calls no client."""
+    """A service that the program offers, to itself and to other programs on the station."""
 
     def __init__(
         self,
@@ -480,7 +488,11 @@ class Service:
         self.name = self.resolved_name = resolve_name(name)
         self.service_class, self.handler = service_class, handler
         _node.services[self.name] = self._serve
-        _node.say_once(f"{self.name} is offered inside this program alone")
+        _node.connected().peers.offer(self.name, self._answer)
+        _node.say_once(f"{self.name} is offered to programs for rospy here alone")
+
+    def _answer(self, request: Message) -> Message:
+        return to_json(self._serve(from_json(self.service_class._request_class, request)))
 
     def _serve(self, request: RosMessage) -> Any:
         kind = self.service_class._response_class
@@ -495,6 +507,7 @@ class Service:
 
     def shutdown(self, reason: str = "") -> None:
         _node.services.pop(self.name, None)
+        _node.connected().peers.withdraw(self.name)
 
     def spin(self) -> None:
         spin()
@@ -503,7 +516,7 @@ class Service:
 def wait_for_service(service: str, timeout: Any = None) -> None:
     name = resolve_name(service)
     for _ in _waiting(timeout, f"service {name}, which the station does not have"):
-        if name in _node.services:
+        if name in _node.services or _node.connected().peers.offers(name):
             return
         if _node.connected().call("/rosapi/service_type", {"service": name})["type"]:
             return

@@ -1,4 +1,4 @@
-"""The modules ``tf`` and ``tf2_ros`` of a program: the transforms that the program publishes.
+"""The modules ``tf`` and ``tf2_ros``: transforms of the program, and of others on its station.
 
 The station publishes none. Of each frame the newest transform counts, whatever time is asked for.
 """
@@ -9,10 +9,12 @@ import threading
 import time
 from typing import Any
 
+from rospy_stand_in import node
 from rospy_stand_in import transformations as turn
-from rospy_stand_in.genpy import RosTime, message_class
+from rospy_stand_in.genpy import RosTime, from_json, message_class, to_json
 
 _STEP_S = 0.02
+_KIND = "tf2_msgs/TFMessage"
 
 
 class TransformException(Exception):
@@ -25,11 +27,37 @@ _PARENTS: dict[
 ] = {}  # by frame: parent, matrix from frame to parent, time
 
 
-def _put(parent: str, child: str, translation: Any, rotation: Any, stamp: Any) -> None:
-    matrix = turn.quaternion_matrix(rotation)
-    matrix[:3, 3] = list(translation)[:3]
+def _put(one: Any) -> None:
+    move, turned = one.transform.translation, one.transform.rotation
+    matrix = turn.quaternion_matrix((turned.x, turned.y, turned.z, turned.w))
+    matrix[:3, 3] = move.x, move.y, move.z
     with _LOCK:
-        _PARENTS[child.strip("/")] = (parent.strip("/"), matrix, stamp)
+        _PARENTS[one.child_frame_id.strip("/")] = (
+            one.header.frame_id.strip("/"),
+            matrix,
+            one.header.stamp,
+        )
+
+
+def _take(message: Any) -> None:
+    for one in message["transforms"]:
+        _put(from_json(message_class("geometry_msgs/TransformStamped"), one))
+
+
+def _listen() -> None:
+    bridge = node.opened()
+    if bridge is not None:
+        for topic in ("/tf", "/tf_static"):
+            bridge.subscribe(topic, _KIND, _take)
+
+
+def _stamped(translation: Any, rotation: Any, stamp: Any, child: str, parent: str) -> Any:
+    made: Any = message_class("geometry_msgs/TransformStamped")()
+    made.header.frame_id, made.header.stamp, made.child_frame_id = parent, stamp, child
+    move, turned = made.transform.translation, made.transform.rotation
+    move.x, move.y, move.z = map(float, translation[:3])
+    turned.x, turned.y, turned.z, turned.w = map(float, rotation)
+    return made
 
 
 def _climb(frame: str) -> list[tuple[str, Any, Any]]:
@@ -55,7 +83,7 @@ def _between(target: str, source: str) -> tuple[Any, Any, Any]:
                 back, other = below[frame]
                 whole = turn.inverse_matrix(back) @ matrix
                 return whole[:3, 3], turn.quaternion_from_matrix(whole), max(stamp, other)
-    raise TransformException(f"no transform from {source} to {target} is known in this program")
+    raise TransformException(f"no transform from {source} to {target} is known here")
 
 
 def _waited(target: str, source: str, timeout: Any) -> bool:
@@ -76,17 +104,28 @@ class Tf2Broadcaster:
     """``tf2_ros``: takes stamped transforms."""
 
     def sendTransform(self, transform: Any) -> None:  # noqa: N802 - tf's
-        for one in transform if isinstance(transform, list) else [transform]:
-            move, rotation = one.transform.translation, one.transform.rotation
-            _put(
-                one.header.frame_id,
-                one.child_frame_id,
-                (move.x, move.y, move.z),
-                (rotation.x, rotation.y, rotation.z, rotation.w),
-                one.header.stamp,
-            )
+        self._send(transform if isinstance(transform, list) else [transform])
 
     sendTransformMessage = sendTransform  # noqa: N815 - tf's
+
+    def _send(self, all_of_them: list[Any], topic: str = "/tf", *, latch: bool = False) -> None:
+        for one in all_of_them:
+            _put(one)
+        bridge = node.opened()
+        if bridge is not None:
+            message = {"transforms": [to_json(one) for one in all_of_them]}
+            bridge.publish(topic, message, latch=latch)
+
+
+class StaticBroadcaster(Tf2Broadcaster):
+    """``tf2_ros``: the same, and who comes later gets them all."""
+
+    _sent: dict[str, Any] = {}  # noqa: RUF012 - of the program, by frame
+
+    def sendTransform(self, transform: Any) -> None:  # noqa: N802 - tf's
+        several = transform if isinstance(transform, list) else [transform]
+        self._sent.update({one.child_frame_id: one for one in several})
+        self._send(list(self._sent.values()), "/tf_static", latch=True)
 
 
 class TransformBroadcaster(Tf2Broadcaster):
@@ -95,14 +134,14 @@ class TransformBroadcaster(Tf2Broadcaster):
     def sendTransform(  # type: ignore[override]  # noqa: N802 - tf's
         self, translation: Any, rotation: Any, time: Any, child: str, parent: str
     ) -> None:
-        _put(parent, child, translation, rotation, time)
+        self._send([_stamped(translation, rotation, time, child, parent)])
 
 
 class Buffer:
     """``tf2_ros``: looks transforms up."""
 
     def __init__(self, *_: object, **__: object) -> None:
-        """Its length and time do not matter here."""
+        _listen()  # its length and time do not matter here
 
     def lookup_transform(
         self, target_frame: str, source_frame: str, time: Any = None, timeout: Any = None
@@ -110,26 +149,17 @@ class Buffer:
         """Raises ``TransformException``."""
         _waited(target_frame, source_frame, timeout)
         translation, rotation, stamp = _between(target_frame, source_frame)
-        made: Any = message_class("geometry_msgs/TransformStamped")()
-        made.header.frame_id, made.header.stamp, made.child_frame_id = (
-            target_frame,
-            stamp,
-            source_frame,
-        )
-        move, turned = made.transform.translation, made.transform.rotation
-        move.x, move.y, move.z = map(float, translation)
-        turned.x, turned.y, turned.z, turned.w = map(float, rotation)
-        return made
+        return _stamped(translation, rotation, stamp, source_frame, target_frame)
 
     def can_transform(self, target_frame: str, source_frame: str, *rest: Any) -> bool:
         return _waited(target_frame, source_frame, rest[1] if len(rest) > 1 else None)
 
 
 class Tf2Listener:
-    """``tf2_ros``: fills a buffer, which is full already."""
+    """``tf2_ros``: fills a buffer, which fills itself."""
 
     def __init__(self, *_: object, **__: object) -> None:
-        """Nothing has to be subscribed to."""
+        """Nothing is left to do."""
 
 
 class TransformListener(Buffer):
