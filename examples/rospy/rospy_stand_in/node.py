@@ -463,9 +463,8 @@ class ServiceProxy:
         except SerializationError as error:
             raise ROSSerializationException(f"{self.name}: {error}") from None
         except M100Error as error:
-            raise ServiceException(
-                f"service [{self.name}] responded with an error: {error}"
-            ) from None
+            text = f"service [{self.name}] responded with an error: {error}"
+            raise ServiceException(text) from None
         return from_json(self.response_class, answer)
 
     __call__ = call

@@ -1,4 +1,4 @@
-"""What programs on one station have of each other: topics, services and parameters of their own.
+"""Topics, services and parameters that programs on one station have between them.
 
 Each has a socket and a card in a folder of the station that only this user can enter. The card
 says what it hears and offers; who publishes or calls reads the cards. Where there are no such
@@ -231,7 +231,7 @@ def sharing(station: str, parameters: dict[str, Any]) -> Iterator[None]:
 
 
 def shared_parameters(station: str) -> dict[str, Any]:
-    """What the launch file of this program, and others that run on a station, have set."""
+    """Parameters of the launch file that started this program, and of others on the station."""
     found: dict[str, Any] = json.loads(os.environ.get(PARAMETERS, "{}"))
     folder = folder_of(station)
     for one in sorted(folder.glob("*.parameters")) if folder else []:
