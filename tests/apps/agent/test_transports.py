@@ -11,6 +11,7 @@ from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -49,6 +50,15 @@ def test_what_comes_before_the_end_is_open_waits_in_order(as_bytes: bool) -> Non
     got: list[Message] = []
     other.open(got.append, lambda reason: None)
     assert got == [A, B]
+
+
+def test_of_what_comes_before_the_end_is_open_the_newest_thousand_wait() -> None:
+    one, other = memory_channels()
+    for number in range(1001):
+        one.send(JournalNote("info", str(number)))
+    got: list[Any] = []
+    other.open(got.append, lambda reason: None)
+    assert [note.text for note in got] == [str(number) for number in range(1, 1001)]
 
 
 def test_closing_is_reported_once_and_ends_both_directions() -> None:

@@ -7,6 +7,7 @@ import logging
 import threading
 from collections.abc import AsyncIterator, Callable
 from contextlib import AsyncExitStack
+from pathlib import Path
 from time import monotonic
 from typing import Any
 
@@ -203,6 +204,19 @@ async def test_a_program_that_leaves_hears_why_and_not_of_a_session_that_does_no
 async def test_an_option_that_cannot_be() -> None:
     with pytest.raises(UsageError, match="cannot be in a session"):
         async with open_session(Opening("a test", "x", {"mode": '"captain"'})):
+            pass
+
+
+@pytest.mark.parametrize("text", ["{nonsense", None])
+async def test_a_configuration_that_cannot_be_read_is_named_in_the_words_of_its_user(
+    text: str | None, tmp_path: Path
+) -> None:
+    path = tmp_path / "zenoh.json5"
+    if text is not None:
+        path.write_text(text)
+    asked = Opening("a test", "x", {}, file=(str(path), "--zenoh-config"))
+    with pytest.raises(UsageError, match=r"--zenoh-config: .*json5 cannot be read"):
+        async with open_session(asked):
             pass
 
 

@@ -6,6 +6,7 @@ import io
 import math
 from collections.abc import Callable
 from pathlib import Path
+from unittest.mock import MagicMock
 
 import pytest
 from rich.console import Console
@@ -158,3 +159,17 @@ def test_one_that_was_cut_off_is_read_without_an_end(
     monkeypatch.setattr(progress, "_PATIENCE_S", 0.0)
     flight.write_bytes(flight.read_bytes()[:-400])
     assert "reading" in shown(flight, monkeypatch, terminal=True)[1]
+
+
+def test_each_pass_to_the_end_counts_and_one_that_was_broken_off_does_not(
+    flight: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(progress, "_PATIENCE_S", -1.0)
+    bar, size = MagicMock(), flight.stat().st_size
+    watched = progress._Watched(flight, bar, 3)
+    for ends_at in (size, size - 1, size):
+        watched.show(ends_at)
+        watched.end(ends_at)
+    done = [call.kwargs["completed"] for call in bar.update.call_args_list]
+    assert done == [size, 2 * size - 1, 2 * size]
+    assert bar.add_task.call_args.kwargs == {"total": 3 * size}

@@ -15,7 +15,8 @@ import sys
 import threading
 import time
 import urllib.request
-from contextlib import ExitStack
+from collections.abc import AsyncIterator
+from contextlib import ExitStack, asynccontextmanager, nullcontext
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -27,12 +28,14 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
 
+from m100link.apps.cli import serve
 from m100link.apps.cli.serve import StationOptions, _announce, aircraft_of
 from m100link.apps.mavlink.translator.codec import MavlinkMessage, MessageReader, write_frame
 from m100link.apps.station import log_output
 from m100link.apps.station.config import Settings
 from m100link.apps.station.listeners import FRONTS, Sockets
 from m100link.apps.station.log_output import FlightProgress
+from m100link.apps.station.run import RunningStation
 from m100link.errors import M100Error
 from tests.apps.cli.conftest import CommandLine
 from tests.apps.station.test_run import Pilot
@@ -507,8 +510,39 @@ def test_each_socket_that_is_opened_is_reported(
         for row in made.values():
             stack.callback(row[0].close)
         running: Any = SimpleNamespace(sockets=Sockets(made), console_path=lambda: "/?code=1")
-        _announce({"one": Settings()}, running, as_json=as_json)
+        _announce({"one": Settings(ros2=True)}, running, as_json=as_json)
         told = capsys.readouterr().out
+        if as_json:
+            facts = json.loads(told)
+            alone = {name for name, one in facts.items() if isinstance(one, str)}
+            assert (alone, facts["ros2"]) == ({"console", "metrics", "foxglove"}, ["/m100"])
         for name in made:
             assert f"://127.0.0.1:{running.sockets.port(name)}" in told, name
             assert name in told
+
+
+@pytest.mark.anyio
+@pytest.mark.parametrize("has_authority", [False, True])
+async def test_the_end_says_that_control_goes_back_where_there_is_some(
+    has_authority: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    @asynccontextmanager
+    async def played(*_: object) -> AsyncIterator[tuple[RunningStation, None]]:
+        task = None if has_authority else "land"
+        agent: Any = SimpleNamespace(
+            holding=SimpleNamespace(has_authority=has_authority, task=task)
+        )
+        fronts: Any = SimpleNamespace(console_path=None)
+        yield RunningStation(agent, None, fronts, Sockets({})), None
+
+    def at_once(_: object, ended: asyncio.Event) -> nullcontext[None]:
+        ended.set()
+        return nullcontext()
+
+    monkeypatch.setattr(serve, "_running", played)
+    for process_wide in ("tell_elsewhere", "log_of"):
+        monkeypatch.setattr(serve, process_wide, lambda _: None)
+    monkeypatch.setattr("m100link.apps.station.supervisor.leave_what_stays", lambda: None)
+    await serve.run_station({"one": Settings(sim=True)}, serve.AS_USUAL, keys=at_once)
+    end = "ending: control authority goes back; a flying aircraft hovers"
+    assert capsys.readouterr().err.splitlines()[-1] == (end if has_authority else "ending")

@@ -16,6 +16,7 @@ from m100link.apps.mavlink.bridge import signature_time
 from m100link.apps.mavlink.translator.codec import MavlinkMessage, PacketSigner, write_frame
 from m100link.apps.station.config import Settings
 from m100link.apps.station.mavlink import prepare, serving_mavlink
+from m100link.errors import UsageError
 from tests.waiting import PATIENCE
 
 KEY = bytes(range(32))
@@ -55,6 +56,18 @@ def test_what_was_recorded_is_refused_at_the_next_start(settings: Settings, tmp_
     [file] = (tmp_path / "m100link" / "mavlink").iterdir()
     assert list(json.loads(file.read_text())["newest"]) == ["245.190.0"]
     assert asyncio.run(served(settings, recorded)) == 1
+
+
+@pytest.mark.parametrize("field", ["mavlink", "mavlink_to"])
+@pytest.mark.parametrize("host", ["127.0.0.1", "0.0.0.0", "192.0.2.7"])
+def test_no_other_machine_is_let_in_or_sent_to_unsigned(field: str, host: str) -> None:
+    address: dict[str, Any] = {field: (f"udp://{host}:{0 if field == 'mavlink' else 9}",)}
+    if host == "127.0.0.1":
+        [bound] = prepare(AsyncExitStack(), Settings(**address))
+        bound.close()
+        return
+    with pytest.raises(UsageError, match=f"{host} lets other machines fly"):
+        prepare(AsyncExitStack(), Settings(**address))
 
 
 def test_a_folder_that_cannot_be_written_is_reported_and_it_serves(

@@ -311,6 +311,9 @@ async def test_the_first_agent_of_a_station_takes_nothing_from_anybody(rig: Rig)
 async def test_a_client_that_asks_at_once_has_it_and_keeps_it(rig: Rig) -> None:
     await killed_in_flight(rig)
     async with next_agent(rig) as agent:
+        aircraft = agent.connection.aircraft
+        assert aircraft is not None
+        assert aircraft.link.cipher is not None, "the key counts without a new activation"
         token = agent.leases.acquire("the next", agent.now).token
         await agent.ask(orders.Obtain(), token)
         assert agent.holding.has_authority

@@ -27,6 +27,7 @@ from m100link.apps.mavlink.translator.parameters import ParameterProtocol
 from m100link.apps.mavlink.translator.telemetry import Rates
 from m100link.apps.mavlink.translator.vehicle_state import MODES, Mode, VehiclePhase
 from m100link.geodesy import LocalFrame
+from m100link.protocol.records import Position
 from tests.apps.mavlink.conftest import Ground, Rig, world_of
 from tests.apps.mavlink.translator.test_missions import Exchange, waypoint
 from tests.known import Known, position
@@ -222,6 +223,16 @@ def test_what_cannot_be_flown_as_it_is_said_is_denied(message: MavlinkMessage) -
     asked = Asked()
     assert asked.ask(message) is MavResult.DENIED
     assert asked.requests == []
+
+
+def test_the_present_height_of_an_aircraft_that_tells_none_is_not_flown_to() -> None:
+    known = Known()
+    del known.items[Position]
+    asked = Asked(known)
+    to_a_place = long(REPOSITION, -1, 1, 0, NAN, 10.5001, -20.2501, NAN)
+    assert asked.ask(to_a_place) is MavResult.DENIED
+    assert asked.requests == []
+    assert "the height is unknown" in asked.texts[-1]
 
 
 MODE, CURRENT, START, PAUSE, ARM, STANDARD = 176, 224, 300, 193, 400, 262

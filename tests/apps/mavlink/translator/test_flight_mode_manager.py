@@ -203,6 +203,8 @@ def test_a_wish_over_what_flies(running: FlightSource, mode: Mode) -> None:
         assert manager.orders == [ORDERS[mode]]
     if step is ModeTransition.WAIT and flying is not None and flying.order is not None:
         assert manager.mode is (Mode.HOLD if mode is Mode.GOTO else mode)
+        manager.took_off(LandInPlace(), 1.0)
+        assert manager.running is FlightSource.TAKE_OFF, "it was another order that is over"
         manager.took_off(flying.order, 1.0)
         assert manager.running is not FlightSource.TAKE_OFF
 

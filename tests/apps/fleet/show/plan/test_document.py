@@ -13,8 +13,10 @@ import pytest
 
 from m100link.apps.fleet.show.plan.document import SKEW_S, Show, check, distances, needed_m, svg
 from m100link.apps.fleet.show.plan.track import BadShow
+from m100link.errors import BadPlan
 from m100link.flight.guards import Envelope
 from m100link.geodesy import LocalFrame
+from m100link.missions.plan import WaypointPlan
 from tests.apps.fleet.show.shows import FIVE, five, show_of, track
 
 
@@ -136,8 +138,12 @@ def test_what_is_no_json_is_no_show(text: str | bytes) -> None:
 
 
 def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
-    with pytest.raises(BadShow, match=r"nowhere\.json' cannot be read"):
+    with pytest.raises(BadShow, match=r"nowhere\.json' cannot be read") as caught:
         Show.read(tmp_path / "nowhere.json")
+    with pytest.raises(BadPlan) as same:
+        WaypointPlan.read(tmp_path / "nowhere.json")
+    assert (caught.value.cause, caught.value.remedy) == (same.value.cause, same.value.remedy)
+    assert same.value.remedy
 
 
 # -- what is wrong with a show: every rule by a show that breaks this one --------------------------
