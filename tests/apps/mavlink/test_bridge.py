@@ -12,7 +12,7 @@ from typing import Any
 import anyio
 import pytest
 
-from m100link.apps.mavlink.bridge import IDLE_STEP_S, STEP_S, bind
+from m100link.apps.mavlink.bridge import IDLE_STEP_S, STEP_S
 from m100link.apps.mavlink.translator.codec import (
     LAYOUTS,
     MOST_PEERS,
@@ -26,7 +26,6 @@ from m100link.apps.mavlink.translator.numbers import MavCommand, MavResult
 from m100link.apps.mavlink.translator.parameters import PARAMETERS
 from m100link.apps.mavlink.translator.route import ITEMS
 from m100link.apps.mavlink.translator.vehicle_state import MODES, Mode
-from m100link.errors import PortBusy, PortFailed
 from tests.apps.mavlink.conftest import Ground, Rig
 
 pytestmark = pytest.mark.anyio
@@ -550,13 +549,3 @@ async def test_what_is_poured_by_somebody_else_does_not_take_control(
         MavResult.TEMPORARILY_REJECTED,
         MavResult.ACCEPTED,
     )
-
-
-def test_a_port_that_is_taken_and_an_address_of_others_have_their_own_errors() -> None:
-    with bind(("127.0.0.1", 0)) as one, pytest.raises(PortBusy, match="cannot be served") as caught:
-        bind(one.getsockname())
-    assert caught.value.cause == "a ground station, or another bridge, listens there"
-    with pytest.raises(PortFailed, match=r"192\.0\.2\.1:0 cannot be served") as failed:
-        bind(("192.0.2.1", 0))  # for documentation: no machine has it (RFC 5737)
-    assert not isinstance(failed.value, PortBusy)
-    assert failed.value.cause == ""

@@ -14,7 +14,7 @@ import pytest
 from m100link.apps.station import listeners
 from m100link.apps.station.config import Settings
 from m100link.apps.station.listeners import FRONTS, Fronts, FrontSpec, Sockets, open_sockets
-from m100link.errors import M100Error, UsageError
+from m100link.errors import M100Error, PortBusy, PortFailed, UsageError
 
 pytestmark = pytest.mark.anyio
 
@@ -153,3 +153,17 @@ def test_a_package_that_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(listeners, "import_module", missing)
     with pytest.raises(UsageError, match="metrics needs prometheus_client, which is not installed"):
         FRONTS["metrics"].load()
+
+
+async def test_a_port_that_is_taken_and_an_address_of_others_have_their_own_errors() -> None:
+    said = {"busy": "another bridge listens there", "remedy": "give another port"}
+    async with AsyncExitStack() as stack:
+        one = listeners.bound(stack, ("127.0.0.1", 0), socket.SOCK_DGRAM, **said)
+        with pytest.raises(PortBusy, match="cannot be served") as busy:
+            listeners.bound(stack, one.getsockname(), socket.SOCK_DGRAM, **said)
+        assert (busy.value.cause, busy.value.remedy) == (said["busy"], said["remedy"])
+        with pytest.raises(PortFailed, match=r"192\.0\.2\.1:0 cannot be served") as failed:
+            # For documentation: no machine has it (RFC 5737).
+            listeners.bound(stack, ("192.0.2.1", 0), socket.SOCK_DGRAM, **said)
+    assert not isinstance(failed.value, PortBusy)
+    assert (failed.value.cause, failed.value.remedy) == ("", said["remedy"])
