@@ -239,8 +239,9 @@ def test_what_is_below_a_room_that_moved_is_loaded_once_and_warns() -> None:
 )
 def test_a_documented_class_has_its_old_name_too(module: str, old: str, now: str) -> None:
     room = importlib.import_module(module)
-    with pytest.warns(DeprecationWarning, match=f"{module}.{old} is {now} now"):
+    with pytest.warns(DeprecationWarning, match=f"{module}.{old} is {now} now") as told:
         assert getattr(room, old) is getattr(room, now)
+    assert told[0].filename == __file__, "it is reported where the old name stands"
     with pytest.raises(AttributeError, match="has no attribute 'Nothing'"):
         room.Nothing  # noqa: B018 - it is asked for
 

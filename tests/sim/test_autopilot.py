@@ -189,6 +189,10 @@ def test_the_aircraft_counts_its_own_pushes_in_16_bits() -> None:
     sequences = [frame.sequence for _, frame in host.frames]
     assert sequences[:3] == [0, 1, 2]
     assert sequences[65535:65538] == [65535, 0, 1]
+    host.frames.clear()
+    host.aircraft.reboot()
+    host.wait(5.0)
+    assert [frame.sequence for _, frame in host.frames][:3] == [0, 1, 2], "anew with each start"
 
 
 # --- encryption -----------------------------------------------------------------------------

@@ -345,6 +345,10 @@ def test_an_estimate_far_from_the_last_package_is_less_certain() -> None:
     assert far is not None
     assert near.uncertainty_s < 0.004
     assert 0.01 < far.uncertainty_s < 1.0
+    # The line may be off by its own width at both ends of its 29 s, in opposite directions.
+    [inside] = {one.uncertainty_s for one in [clock.host_time(TICK_HZ * 15)] if one is not None}
+    slope = (far.uncertainty_s - near.uncertainty_s) / (3600 - 31)
+    assert slope == pytest.approx(2 * inside / 29, rel=0.05)
 
 
 @pytest.mark.anyio

@@ -253,6 +253,20 @@ def test_a_clock_that_runs_otherwise_than_its_profile_says_is_not_believed(
     assert flight.fly(30.0).state is S.GOOD
 
 
+@pytest.mark.parametrize(("first", "then"), [("1.0", "3.1"), ("3.1", "1.0")])
+def test_a_profile_that_is_corrected_has_another_tick_and_faults_are_noticed(
+    first: str, then: str
+) -> None:
+    flight = Flight(firmware=first, speed=8.0)
+    flight.fly(5.0)
+    flight.firmware = then
+    assert flight.fly(10.0).state is S.GOOD
+    for _ in range(round(2.0 / flight.step_s)):
+        flight.delay += 0.48 * flight.step_s
+        found = flight.fly(flight.step_s)
+    assert found.state is S.LATE
+
+
 def test_it_is_judged_for_those_who_ask_once_a_second() -> None:
     flight = Flight(speed=8.0)
     for _ in range(30):

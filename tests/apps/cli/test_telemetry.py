@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from m100link.apps.cli import telemetry
 from m100link.apps.cli.telemetry import describe
 from m100link.protocol.items import BY_NAME
 from tests import known
@@ -77,6 +78,17 @@ def test_an_item_at_0_hz_is_named(cli: CommandLine, arguments: tuple[str, ...]) 
     told = cli(*arguments, "--duration", "2.5").err
     assert "magnetometer is at 0 Hz: no package carries it" in told
     assert told.count("0 Hz") == 1
+
+
+def test_what_is_plotted_live_has_its_time_and_its_value(
+    cli: CommandLine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[dict[str, list[tuple[float, float]]]] = []
+    monkeypatch.setattr(telemetry, "_draw", drawn.append)
+    assert cli("plot", "sim://", "battery.percent", "--duration", "4").status == 0
+    [[(_, points)]] = [list(one.items()) for one in drawn]
+    assert {value for _, value in points} == {100.0}
+    assert 1.5 < points[-1][0] - points[0][0] < 4.0
 
 
 def test_echo_prints_its_table_as_csv(cli: CommandLine) -> None:

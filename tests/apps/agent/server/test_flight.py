@@ -139,6 +139,21 @@ async def test_what_halts_is_a_neutral_from_its_first_frame_on(
     assert sent == [Setpoint.velocity(north=0.0, east=0.0, up=0.0, yaw_rate_deg_s=0.0)]
 
 
+@pytest.mark.parametrize(("order", "off"), [(orders.Land(), 26.0), (orders.GoHome(), 0.0)])
+async def test_each_order_of_the_autopilot_ends_where_it_says(
+    rig: Rig, order: orders.Order, off: float
+) -> None:
+    """26 m east of where it took off, it comes down there, or where it took off."""
+    await airborne(rig)
+    while rig.aircraft.position[1] < 25.0:
+        rig.agent.steer(rig.token, EAST)
+        await anyio.sleep(0.02)
+    await anyio.sleep(3.0)
+    await rig.agent.ask(order, rig.token)
+    assert rig.aircraft.height < 0.1
+    assert rig.aircraft.position[1] == pytest.approx(off, abs=1.5)
+
+
 async def test_one_task_at_a_time(rig: Rig) -> None:
     await rig.agent.ask(orders.Obtain(), rig.token)
     async with anyio.create_task_group() as group:

@@ -11,6 +11,7 @@ from contextlib import asynccontextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import MagicMock
 
 import anyio
 import pytest
@@ -176,6 +177,17 @@ async def test_the_disk_is_waited_for_in_threads_of_their_own() -> None:
     with pytest.raises(UsageError):
         await threads.do(lambda: LogDirectory(None).piece(FIRST, 0, 1))
     threads.close()
+
+
+async def test_its_end_is_that_of_its_threads_and_of_a_digest_that_is_being_made(
+    road: Road,
+) -> None:
+    threads = MagicMock(wraps=OwnThreads("logs of a1"))
+    async with serving(road, apart=threads) as service:
+        threads.close.assert_not_called()
+    threads.close.assert_called_once_with()
+    with pytest.raises(UsageError, match="the agent ends"):
+        service._directory.digest(FIRST, 300_000, lambda: not service._is_ended)
 
 
 async def test_nothing_leaves_at_no_rate(road: Road) -> None:

@@ -72,6 +72,22 @@ def test_an_error_names_the_field(kind: str, value: Any, says: str | None) -> No
         MESSAGES[kind].read(value)
 
 
+@pytest.mark.parametrize(
+    ("part", "fields"),
+    [
+        ("Goal", "header:std_msgs/Header goal_id:actionlib_msgs/GoalID goal"),
+        ("Result", "header:std_msgs/Header status:actionlib_msgs/GoalStatus result"),
+        ("Feedback", "header:std_msgs/Header status:actionlib_msgs/GoalStatus feedback"),
+    ],
+)
+def test_around_each_part_of_an_action_stands_what_actionlib_puts_there(
+    part: str, fields: str
+) -> None:
+    task = "dji_sdk/DroneTask"
+    found = " ".join(f"{one.name}:{one.type}" for one in MESSAGES[f"{task}Action{part}"].fields)
+    assert found == f"{fields}:{task}{part}"
+
+
 def test_null_is_no_number_both_ways() -> None:
     kind = MESSAGES["std_msgs/Float32"]
     assert math.isnan(kind.read({"data": None})["data"])
