@@ -382,11 +382,13 @@ GuidedOrder = FlyTo | FlyAround | ChangeHeight | ChangeHeading
 """Any of them."""
 
 
-def require_newer(order: Order, asked_at: float, stopped_at: float) -> None:
+def require_newer(
+    order: Order, asked_at: float, stopped_at: float, by: str = "STOP was pressed"
+) -> None:
     """Raise ``GuardRefused``: a STOP came when an order, or its first step, was asked for; s."""
     if asked_at <= stopped_at and order.after_stop is not AfterStop.DONE:
         raise GuardRefused(
-            f"STOP was pressed after {order.label} was asked for; nothing was sent",
+            f"{by} after {order.label} was asked for; nothing was sent",
             guard="stopped",
             cause="it is a later step of an order, or a computer on the way stood still",
             remedy="look at the aircraft, and ask anew",

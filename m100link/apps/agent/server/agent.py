@@ -48,6 +48,7 @@ _LEASE_CHECK = 0.1
 _LONGEST_STEP = 0.3
 
 _LOST_MEANWHILE, _STOPPED = "control was lost meanwhile", "STOP was pressed"
+_HOVERED = "a hover was ordered"
 _LEAVES_S = 0.05  # in which the stop of a mission has left, before anybody hears of a STOP
 _SHOWN_S = 1.3  # after the stop of a mission: pushes that tell of it are under way for a second
 _PAUSE_S = 1.0  # without a setpoint or order; the next is meant anew, though not after STOP
@@ -114,6 +115,8 @@ class Agent:
         # anew. Empty: it may. And when it last wanted any of them.
         self._begin_anew, self._wanted_at = "", -math.inf
         self._stopped_at = -math.inf  # when STOP came last, s
+        # The same, or when a client without the lease ordered a hover, and which of both.
+        self._overtaken = -math.inf, _STOPPED
         self.holding.on_lost.append(self._authority_lost)
         #: Called after each change with the reason, the lease in force, or None, and what was
         #: flown for the one before.
@@ -247,7 +250,7 @@ class Agent:
         ``at``: when it was asked, s. An order from before a STOP moves nothing, and undoes none.
         """
         # A front or an agent that stood still reads and sends in another order than people acted.
-        orders.require_newer(order, at, self._stopped_at)
+        orders.require_newer(order, at, *self._overtaken)
         if order.needs is Needs.LEASE_IF_HELD:
             if self.leases.holder(self.now) is not None:
                 self.leases.check(token, self.now)
@@ -355,7 +358,7 @@ class Agent:
         """Hover for a client; one without the lease ends the stream of its holder as STOP does."""
         holder = self.leases.holder(self.now)
         if holder is not None and token != holder.token and self._begin_anew != _STOPPED:
-            self._begin_anew = "a hover was ordered"
+            self._overtaken, self._begin_anew = (self.now, _HOVERED), _HOVERED
         self.hover(order.why, token if order.begins_anew else "")
 
     def _authority_lost(self, _: AuthorityLost) -> None:
@@ -378,7 +381,7 @@ class Agent:
         """
         self._begin_anew = _STOPPED
         try:
-            self._stopped_at = self.now
+            self._stopped_at, self._overtaken = self.now, (self.now, _STOPPED)
             self.leases.void_take_overs()
             flying = self.holding.flying
             landing = flying.mission if flying and flying.mission.is_landing else None
