@@ -6,13 +6,15 @@ import asyncio
 import contextlib
 import subprocess
 import sys
+import threading
 from collections.abc import Callable
 from pathlib import Path
+from unittest.mock import MagicMock
 
 import pytest
 import serial
 
-from m100link import AuthorityLost, GuardRefused, LinkLost, M100Error, TelemetryStalled
+from m100link import AuthorityLost, GuardRefused, LinkLost, M100Error, TelemetryStalled, testing
 from m100link.protocol import Setpoint
 from m100link.sim import LineFaults, VirtualClockEventLoop
 from m100link.testing import ConnectableAircraft, VirtualClock, VirtualPort, VirtualSerialPair
@@ -194,3 +196,26 @@ def test_the_example_project_passes_its_own_suite() -> None:
     )
     assert ended.returncode == 0, ended.stdout + ended.stderr
     assert "5 passed" in ended.stdout
+
+
+def test_a_port_that_was_closed_left_no_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    """However long its aircraft takes to stop."""
+    begun, may_stop = threading.Event(), threading.Event()
+
+    def stop() -> None:
+        begun.set()
+        may_stop.wait(PATIENCE)
+
+    def let_stop() -> None:
+        begun.wait(PATIENCE)
+        may_stop.set()
+
+    driver = MagicMock()
+    driver.return_value.stop = stop
+    monkeypatch.setattr(testing, "PtyPort", MagicMock())
+    monkeypatch.setattr(testing, "Driver", driver)
+    port = testing.VirtualPort(seed=1)
+    threading.Thread(target=let_stop).start()
+    port.close()
+    assert may_stop.is_set()
+    assert not port._thread.is_alive()

@@ -29,12 +29,15 @@ from m100link import (
     TelemetryStalled,
     UsageError,
 )
-from m100link.flight.guidance import GuidanceProgress
+from m100link.flight.guidance import GuidanceProgress, _Settling
 from m100link.flight.loops import ClosedLoops, _towards
 from m100link.geodesy import LocalFrame
 from m100link.missions.patterns import survey
+from m100link.protocol import PROFILES, encode_telemetry
 from m100link.protocol.commands.control import Move
 from m100link.sim import AircraftSettings
+from m100link.telemetry.sample import Sample
+from m100link.telemetry.state import AircraftState
 from tests.rig import FIRMWARES, Rig, rig
 
 pytestmark = pytest.mark.anyio
@@ -454,6 +457,19 @@ async def test_one_that_does_not_move_has_not_arrived(loop: Loop) -> None:
         )
         with pytest.raises(NotObserved, match="did not arrive"):
             await loop(control)
+
+
+@pytest.mark.parametrize(("age", "settles"), [(0.4, False), (0.6, True)])
+async def test_a_velocity_of_long_ago_keeps_none_from_settling(age: float, settles: bool) -> None:
+    """Of half a second ago or older: the item may be switched off, and time has to do."""
+    state = AircraftState(asyncio.get_running_loop().time)
+    value = encode_telemetry({"velocity": (8.0, 0.0, 0.0)}, PROFILES["1.0"])
+    settling = _Settling(state)
+    for _ in range(200):
+        state.update(Sample(value, PROFILES["1.0"], asyncio.get_running_loop().time() - age))
+        has_settled = settling.update(is_within=True)
+        await asyncio.sleep(0.02)
+    assert has_settled is settles
 
 
 @pytest.mark.parametrize("vertical_down", [False, True])

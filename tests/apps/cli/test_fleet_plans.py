@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import io
 import json
 import os
@@ -12,16 +13,19 @@ import sys
 import time
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, nullcontext
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
+from unittest.mock import MagicMock
 
 import pytest
 
+from m100link.apps.cli import fleet_plans
 from m100link.apps.cli.fleet import borrowed, lease_file, shared
-from m100link.apps.cli.terminal import ExitCode
+from m100link.apps.cli.terminal import ExitCode, ReaderGone
 from m100link.errors import UsageError
 from m100link.geodesy import LocalFrame
 from m100link.missions.plan import WaypointPlan
@@ -39,6 +43,34 @@ needs_zenoh = pytest.mark.skipif(
 )
 
 FILE = str(FIVE)
+
+
+@pytest.mark.parametrize(
+    ("ends", "status"),
+    [
+        (None, ExitCode.OK),
+        (ReaderGone(), ExitCode.FAILED),
+        (asyncio.CancelledError(), ExitCode.INTERRUPTED),
+    ],
+    ids=["flown", "reader gone", "cancelled"],
+)
+def test_a_flight_that_was_ended_from_here_is_no_success(
+    ends: BaseException | None, status: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A reader that leaves is success for verbs that only print; here it ends a flight."""
+    aircraft = MagicMock()
+    for opened in (control := aircraft.__getitem__.return_value.control.return_value, aircraft):
+        opened.__aenter__.return_value = opened
+        opened.__aexit__.return_value = None
+    mission = control.waypoint_mission.return_value
+    mission.__aenter__.return_value, mission.__aexit__.return_value = mission, None
+    mission.__aiter__.return_value = ["event"]
+    monkeypatch.setattr(fleet_plans, "shared", lambda *_: nullcontext())
+    monkeypatch.setattr(fleet_plans, "read_plan", MagicMock())
+    monkeypatch.setattr(fleet_plans._Show, "tell", MagicMock(side_effect=ends))
+    monkeypatch.setattr(fleet_plans._Show, "stopped", lambda _: "it hovers")
+    options: Any = SimpleNamespace(json_output=False, site="", open=lambda: aircraft)
+    assert fleet_plans.fly("a1", "plan.json", yes=True, options=options) == status
 
 
 @pytest.fixture

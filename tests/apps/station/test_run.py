@@ -8,14 +8,15 @@ import os
 import signal
 import sys
 from collections.abc import AsyncIterator
-from contextlib import AsyncExitStack, asynccontextmanager
+from contextlib import AsyncExitStack, asynccontextmanager, nullcontext
 from pathlib import Path
 from typing import Any
+from unittest.mock import MagicMock
 
 import pytest
 from websockets.asyncio.client import ClientConnection
 
-from m100link.apps.station import supervisor
+from m100link.apps.station import run, supervisor
 from m100link.apps.station.config import FRONT_NICENESS, Settings, resolve
 from m100link.apps.station.run import (
     RunningMultiVehicle,
@@ -243,6 +244,23 @@ async def test_an_agent_that_is_killed_is_reported_by_its_front_and_its_port_is_
         async with asyncio.timeout(PATIENCE):
             while not await is_served_anew():  # noqa: ASYNC110 - another process has no event
                 await asyncio.sleep(0.1)
+
+
+@pytest.mark.parametrize("with_console", [False, True])
+async def test_a_virtual_aircraft_takes_orders_where_there_is_a_console_to_give_them(
+    with_console: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given: list[list[str]] = []
+
+    def handed(*what: Any) -> MagicMock:
+        given.append(list(what[3]))
+        return MagicMock()
+
+    monkeypatch.setattr(run, "_front_process", handed)
+    monkeypatch.setattr(run, "supervised", lambda _: nullcontext())
+    settings = Settings(sim=True, port=0, console_port=0)
+    async with running_apart(settings, with_console=with_console):
+        assert given == [["m100"] if with_console else []]
 
 
 def files_in(folder: Path) -> list[Path]:

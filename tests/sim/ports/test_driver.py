@@ -17,6 +17,7 @@ from m100link.sim import (
     Driver,
     LineFaults,
     LockstepEventLoop,
+    PtyPort,
     ScaledEventLoop,
     VirtualAircraft,
     VirtualClockEventLoop,
@@ -545,4 +546,27 @@ async def test_tcp_refuses_while_the_aircraft_is_unplugged() -> None:
         await until(lambda: bool(listeners[-1].bytes or listeners[-1].lost))
     assert [listener.bytes > 0 for listener in listeners] == [True, False, True]
     await server.stop()
+    driver.stop()
+
+
+async def test_what_a_slow_reader_is_about_to_read_is_not_thrown_away(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """It is full now and then, also a second apart; only one that stays full has no reader."""
+    driver = Driver(VirtualAircraft(seed=1))
+    driver.aircraft.stall_line()  # nothing but what is written here
+    port = PtyPort(driver)
+    now, unread = 100.0, 0
+    monkeypatch.setattr(driver.loop, "time", lambda: now)
+    monkeypatch.setattr(PtyPort, "unread", property(lambda _: unread))
+    for hundredth in range(1000):
+        now, unread = 100.0 + hundredth / 100, 4095 if hundredth % 100 < 40 else 2000
+        port.write([])
+    assert port.flushes == 0
+    unread = 4095
+    for hundredth in range(110):
+        now = 110.0 + hundredth / 100
+        port.write([])
+    assert port.flushes == 1
+    monkeypatch.undo()
     driver.stop()
