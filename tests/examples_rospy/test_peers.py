@@ -104,6 +104,42 @@ def test_what_a_killed_program_left_behind_is_removed(
     assert len(list(folder.rglob("*.card"))) == 1
 
 
+JUNK = (
+    *(b"", b"5\n", b"[]\n", b"{}\n", b"\xff{\n", b'"topic'),
+    *(b'{"topic": "/a"}\n', b'{"service": []}\n'),
+)
+
+
+def test_junk_at_a_socket_costs_no_message(
+    pair: tuple[Peers, Peers, list[Any]], folder: Path
+) -> None:
+    one, other, heard = pair
+    other.hear("/a")
+    _soon(lambda: one.listeners("/a"))
+    for path in [place for place in folder.rglob("*") if place.is_socket()]:
+        for junk in JUNK:
+            with socket.socket(socket.AF_UNIX) as stranger:
+                stranger.connect(str(path))
+                stranger.sendall(junk)
+    one.publish("/a", {"data": 1}, latch=False)
+    _soon(lambda: heard)
+    assert heard == [("/a", {"data": 1})]
+
+
+@pytest.mark.parametrize("content", [None, "", "5", "{"])
+def test_a_card_that_cannot_be_read_hides_no_other(
+    pair: tuple[Peers, Peers, list[Any]], folder: Path, content: str | None
+) -> None:
+    one, other, _ = pair
+    card = next(folder.rglob("*.card")).with_name("gone.card")
+    if content is None:
+        card.symlink_to(card.with_name("nowhere"))  # as one that is removed between two steps
+    else:
+        card.write_text(content, encoding="utf-8")
+    other.hear("/a")
+    _soon(lambda: one.listeners("/a") == 1)
+
+
 def test_a_folder_of_another_user_is_not_used(folder: Path) -> None:
     inside = peers.folder_of(STATION)
     assert inside is not None

@@ -1,8 +1,8 @@
 """Topics, services and parameters that programs on one station have between them.
 
 Each has a socket and a card in a folder of the station that only this user can enter. The card
-says what it hears and offers; who publishes or calls reads the cards. Where there are no such
-sockets (Windows), a program is alone.
+says what it hears and offers; a program that publishes or calls reads the cards. Where there are
+no such sockets (Windows), a program is alone.
 """
 
 from __future__ import annotations
@@ -143,11 +143,11 @@ class Peers:
             now = time.monotonic()
             if self._folder is not None and now - self._read_at >= _FRESH_S:
                 self._read_at = now
-                self._cards = {
-                    one.stem: json.loads(one.read_text(encoding="utf-8"))
-                    for one in self._folder.glob("*.card")
-                    if one.stem != self._name
-                }
+                self._cards = {}
+                for one in self._folder.glob("*.card"):
+                    with contextlib.suppress(OSError, ValueError, TypeError):  # it ended meanwhile
+                        if one.stem != self._name:
+                            self._cards[one.stem] = dict(json.loads(one.read_text("utf-8")))
             return list(self._cards)
 
     def _who(self, what: str, name: str) -> list[str]:
@@ -186,32 +186,34 @@ class Peers:
             except OSError:
                 self._server.close()
                 return
-            connection.settimeout(_PATIENCE_S)
             try:
-                with connection.makefile("rb") as lines:
-                    message = json.loads(lines.readline())
-            except (OSError, ValueError):
+                self._take(connection)
+            except (OSError, ValueError, LookupError, TypeError):  # broken off, or no message
                 connection.close()
-                continue
-            if "service" in message:
-                threading.Thread(target=self._answer, args=(connection, message)).start()
-                continue
-            connection.close()
-            if "topic" in message:
-                self._on_message(message["topic"], message["msg"])
-            elif message["latched"] in self._kept:
-                kept = {"topic": message["latched"], "msg": self._kept[message["latched"]]}
-                self._send([message["to"]], kept)
 
-    def _answer(self, connection: socket.socket, message: dict[str, Any]) -> None:
-        handler = self._services.get(message["service"])
+    def _take(self, connection: socket.socket) -> None:
+        connection.settimeout(_PATIENCE_S)
+        with connection.makefile("rb") as lines:
+            message = json.loads(lines.readline())
+        if "service" in message:
+            asked = connection, self._services.get(message["service"]), message["args"]
+            threading.Thread(target=self._answer, args=asked, daemon=True).start()
+            return
+        connection.close()
+        if "topic" in message:
+            self._on_message(message["topic"], message["msg"])
+        elif message["latched"] in self._kept:
+            kept = {"topic": message["latched"], "msg": self._kept[message["latched"]]}
+            self._send([message["to"]], kept)
+
+    def _answer(self, connection: socket.socket, handler: Handler | None, asked: Message) -> None:
         try:
             answer: dict[str, Any] = {"error": "it is not offered any more"}
             if handler is not None:
-                answer = {"values": handler(message["args"])}
+                answer = {"values": handler(asked)}
         except Exception as error:  # noqa: BLE001 - whatever the program raises there
             answer = {"error": str(error) or type(error).__name__}
-        with connection, contextlib.suppress(OSError):  # who asked has gone
+        with connection, contextlib.suppress(OSError):  # its asker has gone
             connection.sendall(json.dumps(answer).encode() + b"\n")
 
 
