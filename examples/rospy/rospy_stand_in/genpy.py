@@ -178,8 +178,6 @@ class RosMessage:
             return NotImplemented
         return all(getattr(self, name) == getattr(other, name) for name in self.__slots__)
 
-    __hash__ = None  # type: ignore[assignment]  # as genpy: it can change
-
     def __repr__(self) -> str:
         return "\n".join(_lines(self))
 

@@ -77,12 +77,11 @@ class SimpleFilter:
     def __init__(self) -> None:
         self._callbacks: list[tuple[Callable[..., Any], tuple[Any, ...]]] = []
 
-    def registerCallback(self, callback: Callable[..., Any], *extra: Any) -> int:  # noqa: N802
-        """The name is that of ROS."""
+    def registerCallback(self, callback: Callable[..., Any], *extra: Any) -> int:
         self._callbacks.append((callback, extra))
         return len(self._callbacks)
 
-    def signalMessage(self, *messages: Any) -> None:  # noqa: N802 - the name is that of ROS
+    def signalMessage(self, *messages: Any) -> None:
         for callback, extra in self._callbacks:
             callback(*messages, *extra)
 
@@ -155,5 +154,5 @@ class Cache(SimpleFilter):
         self._kept.append(message)
         self.signalMessage(message)
 
-    def getLast(self) -> Any:  # noqa: N802 - the name is that of ROS
+    def getLast(self) -> Any:
         return self._kept[-1] if self._kept else None

@@ -339,13 +339,11 @@ class Publisher(Topic):
             raise ROSException("ROS node has not been initialized yet. Call init_node() first")
         if _node.is_over or self._is_over:
             raise ROSException("publish() to a closed topic")
-        if len(values) == 1 and not named and isinstance(values[0], RosMessage):
-            message = values[0]
-        else:
-            message = self.data_class(*values, **named)
+        is_whole = len(values) == 1 and not named and isinstance(values[0], RosMessage)
+        message: Any = values[0] if is_whole else self.data_class(*values, **named)
         self._sequence += 1
-        if self.data_class._has_header and isinstance(getattr(message, "header", None), RosMessage):
-            message.header.seq = self._sequence  # type: ignore[attr-defined]  # it has one
+        if self.data_class._has_header and hasattr(getattr(message, "header", None), "seq"):
+            message.header.seq = self._sequence
         try:
             self._bridge.publish(self.name, to_json(message), latch=self._latch)
         except SerializationError as error:

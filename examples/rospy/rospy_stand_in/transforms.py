@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import threading
 import time
-from typing import Any
+from typing import Any, ClassVar
 
 from rospy_stand_in import node
 from rospy_stand_in import transformations as turn
@@ -100,41 +100,43 @@ def _waited(target: str, source: str, timeout: Any) -> bool:
             return True
 
 
+def _broadcast(transforms: list[Any], topic: str = "/tf", *, latch: bool = False) -> None:
+    for one in transforms:
+        _put(one)
+    bridge = node.opened()
+    if bridge is not None:
+        message = {"transforms": [to_json(one) for one in transforms]}
+        bridge.publish(topic, message, latch=latch)
+
+
 class Tf2Broadcaster:
     """``tf2_ros``: takes stamped transforms."""
 
-    def sendTransform(self, transform: Any) -> None:  # noqa: N802 - tf's
-        self._send(transform if isinstance(transform, list) else [transform])
-
-    sendTransformMessage = sendTransform  # noqa: N815 - tf's
-
-    def _send(self, all_of_them: list[Any], topic: str = "/tf", *, latch: bool = False) -> None:
-        for one in all_of_them:
-            _put(one)
-        bridge = node.opened()
-        if bridge is not None:
-            message = {"transforms": [to_json(one) for one in all_of_them]}
-            bridge.publish(topic, message, latch=latch)
+    def sendTransform(self, transform: Any) -> None:
+        _broadcast(transform if isinstance(transform, list) else [transform])
 
 
-class StaticBroadcaster(Tf2Broadcaster):
-    """``tf2_ros``: the same, and who comes later gets them all."""
+class StaticBroadcaster:
+    """``tf2_ros``: the same, and a later listener gets them all."""
 
-    _sent: dict[str, Any] = {}  # noqa: RUF012 - of the program, by frame
+    _sent: ClassVar[dict[str, Any]] = {}  # of the program, by frame
 
-    def sendTransform(self, transform: Any) -> None:  # noqa: N802 - tf's
+    def sendTransform(self, transform: Any) -> None:
         several = transform if isinstance(transform, list) else [transform]
         self._sent.update({one.child_frame_id: one for one in several})
-        self._send(list(self._sent.values()), "/tf_static", latch=True)
+        _broadcast(list(self._sent.values()), "/tf_static", latch=True)
 
 
-class TransformBroadcaster(Tf2Broadcaster):
-    """``tf``: takes the parts of a transform."""
+class TransformBroadcaster:
+    """``tf``: takes the parts of a transform, or a stamped one."""
 
-    def sendTransform(  # type: ignore[override]  # noqa: N802 - tf's
+    def sendTransform(
         self, translation: Any, rotation: Any, time: Any, child: str, parent: str
     ) -> None:
-        self._send([_stamped(translation, rotation, time, child, parent)])
+        self.sendTransformMessage(_stamped(translation, rotation, time, child, parent))
+
+    def sendTransformMessage(self, transform: Any) -> None:
+        _broadcast([transform])
 
 
 class Buffer:
@@ -165,23 +167,24 @@ class Tf2Listener:
 class TransformListener(Buffer):
     """``tf``: the same by its names."""
 
-    def lookupTransform(self, target: str, source: str, at: object) -> Any:  # noqa: N802 - tf's
+    def lookupTransform(self, target: str, source: str, at: object) -> Any:
         """Raises ``TransformException``."""
         translation, rotation, _ = _between(target, source)
         return list(map(float, translation)), list(map(float, rotation))
 
-    def waitForTransform(  # noqa: N802 - tf's
+    def waitForTransform(
         self, target: str, source: str, time: object, timeout: Any, *_: object
     ) -> None:
         """Raises ``TransformException``."""
         if not _waited(target, source, timeout):
             _between(target, source)
 
-    def canTransform(self, target: str, source: str, *_: object) -> bool:  # noqa: N802 - tf's
+    def canTransform(self, target: str, source: str, *_: object) -> bool:
         return _waited(target, source, None)
 
-    frameExists = lambda self, frame: frame.strip("/") in _PARENTS  # noqa: E731, N815 - tf's
+    def frameExists(self, frame: str) -> bool:
+        return frame.strip("/") in _PARENTS
 
-    def getLatestCommonTime(self, source: str, target: str) -> Any:  # noqa: N802 - tf's
+    def getLatestCommonTime(self, source: str, target: str) -> Any:
         """Raises ``TransformException``."""
         return _between(target, source)[2]
