@@ -131,9 +131,8 @@ class FleetChannel(ChannelEnd):
         """Send a message; never waits. On a closed channel nothing happens."""
         if self._is_closed or isinstance(message, messages.Hello | messages.Goodbye):
             return
-        if isinstance(
-            message, messages.JournalNote
-        ):  # the journal on board takes none from the network
+        # The journal on board takes no note from the network.
+        if isinstance(message, messages.JournalNote):
             _logger.info("%s: %s", self._keys.name, message.text)
             return
         if isinstance(message, messages.Ask):

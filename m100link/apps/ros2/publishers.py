@@ -35,9 +35,8 @@ _LEVELS = {"info": 20, "warning": 30, "error": 40}
 _UNKNOWN = 255
 _UNREAD: Any = object()
 _HERE = (0.0, 0.0, 0.0)
-_EAST = records.Attitude(
-    math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5)
-)  # turned by nothing from east, north, up
+# Turned by nothing from east, north, up.
+_EAST = records.Attitude(math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))
 
 
 class Places:

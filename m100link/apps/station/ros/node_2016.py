@@ -387,7 +387,7 @@ class Node2016:
 
     async def _fly(self, client: GraphListener, order: orders.FlyTo, progress: _Progress) -> None:
         progress.begin(self._position())
-        while self._agent.state.task == orders.TakeOff.label:  # noqa: ASYNC110 - has no event
+        while self._agent.state.task == orders.TakeOff.label:  # noqa: ASYNC110 - a state has no event
             await asyncio.sleep(_FEEDBACK_S)  # the aircraft ignores DJI's node meanwhile
         session = self._clients.session(client)
         flying = self._agent.background.spawn(session.ask(order), f"navigation of {client.name}")

@@ -711,7 +711,7 @@ async def test_a_setpoint_does_not_outlive_an_end_behind_an_order_that_was_refus
 
 
 async def test_an_end_that_is_cancelled_leaves_no_task_of_the_agent_behind() -> None:
-    """Its release gets no answer, and whoever ends it has no more patience."""
+    """Its release gets no answer, and the task that ends it is cancelled."""
     rig = Rig()
 
     async def until_cancelled() -> None:

@@ -306,7 +306,7 @@ async def test_a_client_that_floods_stops_what_it_flies(rig: Rig) -> None:
 
 
 async def test_a_simple_task_of_minus_one_needs_no_control(rig: Rig) -> None:
-    """DJI's page has it as its stop: whoever presses it, the aircraft hovers."""
+    """DJI's page has it as its stop: the aircraft hovers for every client."""
     client = await rig.airborne("page")
     client.publish("/sdk_request_simple_task", data=1)
     await rig.until(lambda: rig.agent.holding.pattern is not None)
