@@ -32,7 +32,7 @@ from zlib import crc32
 import pytest
 
 LIST = Path(__file__).with_name("slow.txt")
-LIMIT_S = 1.2
+LIMIT_S = 1.5
 """A run fails when all cases of a function that is not slow take longer."""
 MARKED_S = 0.7
 """The list names those that take longer than this: what is left between the two is for chance. The
