@@ -12,13 +12,12 @@ import os
 import threading
 import time
 from collections.abc import Generator, Iterator
-from contextlib import suppress
 from pathlib import Path
 
 import pytest
 from _pytest.runner import runtestprotocol
 
-from tests.speeds import QUIET, keeps_real_time, taken_by_others
+from tests.speeds import QUIET, children_of, keeps_real_time, taken_by_others
 from tests.waiting import kept_waiting
 
 STOOD_S = 0.25
@@ -81,11 +80,9 @@ def kept_waiting_by_thread() -> dict[tuple[int, int], float]:
 
 def descendants(process: int) -> Iterator[int]:
     """Processes that a process has begun, and those that these have begun."""
-    for thread in Path(f"/proc/{process}/task").glob("*/children"):
-        with suppress(OSError):  # it has just ended
-            for child in map(int, thread.read_text("ascii").split()):
-                yield child
-                yield from descendants(child)
+    for child in children_of(process):
+        yield child
+        yield from descendants(child)
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -5,9 +5,10 @@ it), that is marked so, or that keeps real time, on a pseudo-terminal or in a br
 marked `smoke`. `nox` leaves the slow ones out; `nox -s full` runs them. Of a listed function with
 many cases it runs a few all the same, so that every change meets what the function asserts.
 
-The cost is time of the processor, children included, over all cases of a function. The time on the
-clock is the machine's, and others may be using it: what a function waits besides makes it slow in
-the list, which a quiet machine writes, and fails no run.
+The cost is time of the processor over all cases of a function, with that of the children that the
+test began and waited for. A child of an earlier test costs the one that waits for it nothing. The
+time on the clock is the machine's, and others may be using it: what a function waits besides makes
+it slow in the list, which a quiet machine writes, and fails no run.
 
 A second of a processor is not the same everywhere: where others use its caches, it does less. The
 cost is therefore counted in a fixed piece of work that is measured beside the tests, given in
@@ -24,7 +25,7 @@ import threading
 import time
 from collections import defaultdict
 from collections.abc import Generator, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 from zlib import crc32
@@ -140,8 +141,8 @@ class Clock:
             self._left_out_s += time.process_time() - begun
 
     def now(self) -> float:
-        """Seconds that were taken here and by children that ended, as they are on this machine."""
-        return processor_time() - self._left_out_s
+        """Seconds that were taken here, as they are on this machine."""
+        return time.process_time() - self._left_out_s
 
     def quiet(self, seconds: float) -> float:
         """What has just taken so long would take so long on a quiet machine."""
@@ -150,6 +151,47 @@ class Clock:
             self._work_s = work()
         # Nothing at all, where a limit of the processor's time makes its clock tick too seldom.
         return seconds * WORK_S / ((before + self._work_s) / 2 or WORK_S)
+
+
+class Cost:
+    """What one test has taken since it was last asked, in seconds of the processor."""
+
+    def __init__(self) -> None:
+        self._older = living_children()
+        self._begin()
+
+    def _begin(self) -> None:
+        self._own, self._children = CLOCK.now(), children_time()
+
+    def taken(self) -> float:
+        """Its own time, and its children's unless one ended that another test began."""
+        living = living_children()
+        own, children = CLOCK.now() - self._own, children_time() - self._children
+        cost = CLOCK.quiet(own + children if self._older <= living else own)
+        self._older &= living
+        self._begin()
+        return cost
+
+
+def living_children() -> set[int]:
+    """Processes that this one has begun and not waited for yet."""
+    try:
+        os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT)
+    except ChildProcessError:  # as before most tests, and this is cheap
+        return set()
+    return set(children_of(os.getpid()))
+
+
+def children_of(process: int) -> Iterator[int]:
+    """Processes that a process has begun."""
+    for thread in Path(f"/proc/{process}/task").glob("*/children"):
+        with suppress(OSError):  # it has just ended
+            yield from map(int, thread.read_text("ascii").split())
+
+
+def children_time() -> float:
+    """Seconds that the children took that this process waited for."""
+    return sum(os.times()[2:4])
 
 
 def processor_time() -> float:
@@ -188,7 +230,7 @@ def pytest_testnodedown(node: object) -> None:
 # -- what each test costs -------------------------------------------------------------------------
 
 CLOCK = Clock()
-_began: dict[str, float] = {}
+_began: dict[str, Cost] = {}
 _costs: dict[str, float] = defaultdict(float)
 _waits: dict[str, float] = defaultdict(float)
 _slow: set[str] = set()
@@ -196,7 +238,7 @@ _real: set[str] = set()
 
 
 def pytest_runtest_logstart(nodeid: str) -> None:
-    _began[nodeid] = CLOCK.now()
+    _began[nodeid] = Cost()
 
 
 @pytest.hookimpl(wrapper=True)
@@ -204,14 +246,13 @@ def pytest_runtest_makereport(
     item: pytest.Item,
 ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
     report = yield
-    now = CLOCK.now()
+    cost = _began.get(item.nodeid)
     vars(report).update(  # plain values: a process of xdist hands them on
-        cost=CLOCK.quiet(now - _began.get(item.nodeid, now)),
+        cost=cost.taken() if cost else 0.0,
         is_slow=item.get_closest_marker("slow") is not None,
         is_real=keeps_real_time(item),
         is_in_real_time=runs_in_real_time(item),
     )
-    _began[item.nodeid] = CLOCK.now()
     return report
 
 

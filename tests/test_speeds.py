@@ -78,6 +78,47 @@ def test_an_import_is_not_charged_to_the_first_that_needs_it(tmp_path: Path) -> 
     assert outcome(tmp_path, "def test_it(): import dear")[0] == 0
 
 
+CHILD = r"""
+import subprocess, sys
+from tests import speeds
+speeds.taken_by_others, speeds.LIMIT_S = lambda: 0.0, 0.3
+TEXT = "import time\nwhile time.process_time() < 1.2: pass\nprint(flush=True)\ninput()"
+begun = []
+
+def begin():
+    pipes = dict(stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    begun.append(subprocess.Popen([sys.executable, "-c", TEXT], **pipes))
+    begun[-1].stdout.readline()  # it has computed, and waits
+
+def end():
+    begun.pop().communicate(b"\n")
+
+@pytest.fixture
+def one():
+    yield begin()
+    end()
+
+"""
+
+
+@pytest.mark.parametrize(
+    ("tests", "charged"),
+    [
+        ("def test_a(): begin()\ndef test_b(): end()", []),
+        ("def test_a(): begin()\ndef test_b(): begin(), end(), end()", []),
+        ("def test_a(): begin(), end()\ndef test_b(): pass", ["test_a"]),
+        ("def test_a(one): pass\ndef test_b(): pass", ["test_a"]),
+        ("def test_a(): begin()\ndef test_b(): begin(), end()", ["test_b"]),
+    ],
+)
+def test_a_child_is_charged_to_the_test_that_began_it_or_to_none(
+    tmp_path: Path, tests: str, charged: list[str]
+) -> None:
+    """A test of 20 ms that waits for the child of an earlier one is not slow."""
+    _, told = outcome(tmp_path, CHILD + tests)
+    assert (re.findall(r"SLOW test_it.py::(\w+)", told), "2 passed" in told) == (charged, True)
+
+
 def test_nothing_is_dear_while_lines_are_counted(tmp_path: Path) -> None:
     counted = ("-m", "coverage", "run", f"--data-file={tmp_path / 'lines'}")
     assert outcome(tmp_path, DEAR.format(2.0), under=counted)[0] == 0
