@@ -16,6 +16,7 @@ import asyncio
 import contextlib
 import logging
 import math
+import os
 import signal
 import subprocess
 import sys
@@ -78,9 +79,9 @@ PROCESSES = (
 FORKS = tuple(
     Draw(flight, f"fork {way}", "nothing")
     for flight in ("hover", "land", "mission")
-    for way in ("exit", "raise", "return", "_exit", "SIGTERM")
+    for way in ("exit", "raise", "return", "_exit", "SIGTERM", "stay")
 )
-"""Every flight beside which a child is born and ends, and the parent flies on."""
+"""Every flight beside which a child is born and ends, or stays, and the parent flies on."""
 
 
 _SILENT = ("leave", "exit", "land", "fall", "SIGTERM", "SIGHUP", "SIGQUIT")
@@ -95,7 +96,7 @@ class Program:
         self.said = b""
         command = (sys.executable, "-m", "tests.flight.ending_programs", there.name, *draw)
         self.process = subprocess.Popen(
-            command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+            command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, process_group=0
         )
 
     def wait_flying(self) -> None:
@@ -110,12 +111,19 @@ class Program:
             # What Python says of an error goes to stderr, and waits there for ever.
             blocking_until(lambda: self.there.releases > 0 and self.there.device == RC)
             time.sleep(1.0 if self.draw.flight == "land" else 0.3)
-            self.process.kill()
-        rest, _ = self.process.communicate(timeout=PATIENCE)
-        self.said += rest
+            os.killpg(self.process.pid, signal.SIGKILL)
+        self.process.wait(timeout=PATIENCE)
+        self.kill()  # a child of it may hold its stdout open
+        self.said += self.process.communicate(timeout=PATIENCE)[0]
         if self.draw.flight == "land" and self.draw.ending != "pilot":
             blocking_until(lambda: self.there.status == STANDBY, within=5.0)
         time.sleep(0.1)
+
+    def kill(self) -> None:
+        """End it and the children that it left behind."""
+        with contextlib.suppress(ProcessLookupError):  # none is left
+            os.killpg(self.process.pid, signal.SIGKILL)
+        self.process.wait()
 
     def troubles(self) -> list[str]:
         """What is not as it should be; empty when all is in order."""
@@ -159,8 +167,7 @@ def end_a_process(draw: Draw) -> list[str]:
         except subprocess.TimeoutExpired:
             return ["the process does not end", *program.troubles()]
         finally:
-            program.process.kill()
-            program.process.wait()
+            program.kill()
 
 
 def fork_a_process(draw: Draw) -> list[str]:
@@ -169,7 +176,7 @@ def fork_a_process(draw: Draw) -> list[str]:
         program = Program(draw, there)
         try:
             program.wait_flying()
-            time.sleep(0.5)  # the child is gone, or as good as gone
+            time.sleep(0.5)  # a child that ends is gone, or as good as gone
             moves, flown = len(there.movements), there.missions.flown_m
 
             def goes_on() -> bool:
@@ -187,8 +194,7 @@ def fork_a_process(draw: Draw) -> list[str]:
         except subprocess.TimeoutExpired:
             return ["the process does not end", *program.troubles()]
         finally:
-            program.process.kill()
-            program.process.wait()
+            program.kill()
 
 
 # -- in this process, on virtual time --------------------------------------------------------------

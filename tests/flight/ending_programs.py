@@ -134,6 +134,10 @@ def is_left_by_a_child(way: str) -> bool:
         time.sleep(60.0)
     if way == "_exit":
         os._exit(0)
+    if way == "stay":
+        signal.pthread_sigmask(signal.SIG_BLOCK, NUMBERS)
+        while True:
+            signal.pause()
     return True
 
 
