@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import logging
 import random
@@ -258,14 +259,12 @@ def test_an_option_is_known_by_its_former_name_and_shown_by_todays(
     assert former[-1 if "=" in former[-1] else -2].partition("=")[0] + " " not in told
 
 
-def test_a_warning_goes_to_what_standard_error_is_then(
-    cli: CommandLine, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_warning_goes_to_what_standard_error_is_then(cli: CommandLine) -> None:
     """A live display takes it over, and writes above itself."""
     cli("decode", "aa")
-    shown = io.StringIO()
-    monkeypatch.setattr(sys, "stderr", shown)
-    logging.getLogger("m100link.link").warning("noise on the line")
+    # No monkeypatch, which puts back a stream that the capture has closed by then.
+    with contextlib.redirect_stderr(io.StringIO()) as shown:
+        logging.getLogger("m100link.link").warning("noise on the line")
     assert shown.getvalue() == "WARNING: noise on the line\n"
 
 
