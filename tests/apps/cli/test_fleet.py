@@ -41,8 +41,6 @@ from tests.waiting import PATIENCE
 
 pytest.importorskip("zenoh", reason="the extra fleet is not installed")
 
-pytestmark = pytest.mark.pty
-
 
 class Site:
     """A router, and what is started beside it."""
@@ -106,6 +104,7 @@ def site(tmp_path: Path) -> Iterator[Site]:
         yield one
 
 
+@pytest.mark.pty
 @pytest.mark.smoke
 def test_all_take_off_and_land_and_one_that_is_not_there_is_named(site: Site) -> None:
     agent = site.start("agent", "sim://", "--name", "a", "--count", "2", "--json")
@@ -127,6 +126,7 @@ def test_all_take_off_and_land_and_one_that_is_not_there_is_named(site: Site) ->
     assert site.ask("list") == (0, [])
 
 
+@pytest.mark.pty
 def test_a_wall_one_in_full_and_a_lease_that_is_held(site: Site) -> None:
     site.start("agent", "sim://", "--name", "a", "--count", "2")
     site.listed(2)
@@ -159,6 +159,7 @@ def test_a_wall_one_in_full_and_a_lease_that_is_held(site: Site) -> None:
     assert second.wait(PATIENCE) == 0
 
 
+@pytest.mark.pty
 def test_a_name_that_is_taken_ends_the_second_agent(site: Site) -> None:
     site.start("agent", "sim://", "--name", "a1")
     site.listed(1)
@@ -166,6 +167,7 @@ def test_a_name_that_is_taken_ends_the_second_agent(site: Site) -> None:
     assert second.wait(PATIENCE) == 2
 
 
+@pytest.mark.pty
 def test_without_a_router_it_is_said_what_to_do(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "m100link", "fleet", "list", "--connect", "tcp/127.0.0.1:9"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
@@ -174,6 +176,7 @@ def test_without_a_router_it_is_said_what_to_do(tmp_path: Path) -> None:
     assert "m100link fleet router" in done.stderr
 
 
+@pytest.mark.pty
 def test_rules_and_a_way_to_another_router_exclude_each_other(tmp_path: Path) -> None:
     (tmp_path / "rights.toml").write_text("")
     words = ("--rights", str(tmp_path / "rights.toml"), "--connect", "tcp/127.0.0.1:1")
@@ -188,6 +191,7 @@ def test_rules_and_a_way_to_another_router_exclude_each_other(tmp_path: Path) ->
     assert "cannot be combined" in " ".join(done.stderr.split())
 
 
+@pytest.mark.pty
 def test_a_command_without_names_asks_for_them(site: Site) -> None:
     assert site.ask("takeoff")[0] == 2
     assert site.ask("land", "a1", "--all")[0] == 2
@@ -206,6 +210,7 @@ def test_results_are_reported_with_reason_and_remedy(capsys: pytest.CaptureFixtu
     assert tell_results({"a1": results["a1"]}, FleetOptions(json_output=True)) == 0
 
 
+@pytest.mark.pty
 def test_the_console_of_a_fleet_shows_who_is_there(site: Site) -> None:
     agents = site.start("agent", "sim://", "--name", "a", "--count", "2", "--json")
     assert agents.stdout is not None
@@ -224,6 +229,7 @@ def test_the_console_of_a_fleet_shows_who_is_there(site: Site) -> None:
     assert code == 1
 
 
+@pytest.mark.pty
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize("is_mute", [False, True], ids=["no router", "a router that says nothing"])
 def test_a_command_that_waits_for_a_router_ends_by_its_signal(
@@ -254,6 +260,7 @@ def test_a_command_that_waits_for_a_router_ends_by_its_signal(
         assert process.wait(PATIENCE) == 0
 
 
+@pytest.mark.pty
 def test_an_agent_of_an_older_release_is_listed_as_that(site: Site) -> None:
     """It shows another token, and answers where it stands in words that are not read any more."""
     zenoh = pytest.importorskip("zenoh")
@@ -306,6 +313,7 @@ async def interrupted(process: subprocess.Popen[str]) -> None:
     assert await anyio.to_thread.run_sync(process.wait, PATIENCE) == _INTERRUPTED
 
 
+@pytest.mark.pty
 @pytest.mark.anyio
 async def test_ctrl_c_leaves_a_hover_and_does_not_break_off_a_landing(site: Site) -> None:
     site.start("agent", "sim://", "--name", "a1")
@@ -345,6 +353,7 @@ def ended(screen: Terminal) -> str:
     return " ".join(screen.shown.split())
 
 
+@pytest.mark.pty
 @pytest.mark.anyio
 async def test_what_goes_on_on_board_is_reported_and_ends_as_ordered(site: Site) -> None:
     site.start("agent", "sim://", "--name", "a1")
@@ -385,6 +394,7 @@ async def test_what_goes_on_on_board_is_reported_and_ends_as_ordered(site: Site)
         assert after.height_m == pytest.approx(before.height_m, abs=0.5), "it hovers"
 
 
+@pytest.mark.pty
 @pytest.mark.anyio
 async def test_a_stop_that_nobody_answers_is_reported_as_unknown(site: Site) -> None:
     keys = Keys(DEFAULT_SITE, "a1")
@@ -428,6 +438,7 @@ def simulated(site: Site, path: Path, order: str) -> str:
     return str(json.loads(simulator.stdout.readline())["port"])
 
 
+@pytest.mark.pty
 def test_of_twenty_three_do_not_take_off_and_the_exit_status_says_so(
     site: Site, tmp_path: Path
 ) -> None:

@@ -53,7 +53,6 @@ def test_release_is_always_possible(simulator: Simulator, app: list[str]) -> Non
     assert outcome.out == "released\n"
 
 
-@pytest.mark.pty
 def test_a_release_that_is_not_confirmed_is_not_called_one(
     cli: CommandLine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -73,7 +72,6 @@ def test_a_url_of_the_simulator_needs_no_credentials() -> None:
     assert "done: take off" in outcome.out
 
 
-@pytest.mark.pty
 @pytest.mark.parametrize(
     ("words", "seen"),
     [

@@ -21,7 +21,6 @@ from m100link.sim.vehicle.settings import AircraftSettings
 from tests.apps.cli.conftest import ROOT, CommandLine, Simulator, process
 from tests.waiting import PATIENCE, blocking_until
 
-pytestmark = [pytest.mark.pty]
 
 HOME = AircraftSettings()
 SPOTS = ((0.0, 0.0), (4.0, 0.0))
@@ -73,6 +72,7 @@ def begin(*arguments: str) -> subprocess.Popen[str]:
     raise AssertionError(running.communicate()[1])
 
 
+@pytest.mark.pty
 def test_a_plan_is_flown_and_reported_as_json(later: Simulator, app: list[str], short: str) -> None:
     outcome = process("mission", "fly", short, later.port, "--take-off", "--yes", *app)
     assert outcome.status == 0, outcome
@@ -95,6 +95,7 @@ def leave_in_flight(flying: subprocess.Popen[str]) -> None:
     flying.communicate(timeout=PATIENCE)
 
 
+@pytest.mark.pty
 def test_a_program_that_is_killed_has_a_guardian_that_stops_the_mission(
     later: Simulator, app: list[str], long: str
 ) -> None:
@@ -104,6 +105,7 @@ def test_a_program_that_is_killed_has_a_guardian_that_stops_the_mission(
     blocking_until(lambda: process("mission", "stop", later.port, *app).out == "no mission flies\n")
 
 
+@pytest.mark.pty
 def test_a_program_that_is_killed_with_its_guardian_leaves_it_in_flight_for_the_next_one(
     later: Simulator, app: list[str], long: str
 ) -> None:
@@ -119,6 +121,7 @@ def test_a_program_that_is_killed_with_its_guardian_leaves_it_in_flight_for_the_
     assert process("mission", "download", later.port, *app).status == ExitCode.REFUSED
 
 
+@pytest.mark.pty
 def test_what_is_refused_beside_a_mission_does_not_end_it_and_landing_does(
     later: Simulator, app: list[str], long: str
 ) -> None:
@@ -135,6 +138,7 @@ def test_what_is_refused_beside_a_mission_does_not_end_it_and_landing_does(
     assert "done: land" in outcome.out
 
 
+@pytest.mark.pty
 def test_ctrl_c_stops_it(later: Simulator, app: list[str], long: str) -> None:
     flying = begin(long, later.port, *app)
     flying.send_signal(signal.SIGINT)
@@ -147,6 +151,7 @@ def test_ctrl_c_stops_it(later: Simulator, app: list[str], long: str) -> None:
     assert process("mission", "stop", later.port, *app).out == "no mission flies\n"
 
 
+@pytest.mark.pty
 def test_output_that_nobody_reads_stops_it_and_is_not_success(
     later: Simulator, app: list[str], long: str
 ) -> None:
@@ -161,6 +166,7 @@ def test_output_that_nobody_reads_stops_it_and_is_not_success(
     assert process("mission", "stop", later.port, *app).out == "no mission flies\n"
 
 
+@pytest.mark.pty
 def test_flying_wants_to_be_confirmed(later: Simulator, app: list[str], short: str) -> None:
     outcome = process("mission", "fly", short, later.port, *app)
     assert outcome.status == ExitCode.USAGE

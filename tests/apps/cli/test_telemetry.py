@@ -20,9 +20,8 @@ from tests import known
 from tests.apps.cli.conftest import NEARLY_100, CommandLine, Simulator, process
 from tests.waiting import PATIENCE
 
-pytestmark = pytest.mark.pty
 
-
+@pytest.mark.pty
 def test_echo_as_json_and_as_csv(simulator: Simulator) -> None:
     outcome = process("echo", simulator.port, "position", "battery", "--count", "5")
     assert outcome.status == 0
@@ -42,6 +41,7 @@ def test_echo_as_json_and_as_csv(simulator: Simulator) -> None:
     assert float(rows[0]["utc"]) == pytest.approx(time.time(), abs=60.0)
 
 
+@pytest.mark.pty
 def test_hz_measures(simulator: Simulator) -> None:
     outcome = process("hz", simulator.port, "--duration", "2", "--json")
     assert outcome.status == 0
@@ -53,6 +53,7 @@ def test_hz_measures(simulator: Simulator) -> None:
     assert measured["device_clock"]["tick_hz"] == 600
 
 
+@pytest.mark.pty
 def test_plot_of_a_recorded_span_and_live(simulator: Simulator, tmp_path: Path) -> None:
     recorded = process("echo", simulator.port, "position", "--csv", "--count", "50")
     path = tmp_path / "span.csv"
@@ -107,6 +108,7 @@ def test_each_record_has_its_words(record: object) -> None:
 # -- ``m100link monitor`` over a real pseudo-terminal. Real time -----------------------------------
 
 
+@pytest.mark.pty
 def test_monitor_prints_one_object_per_second_and_ends_by_itself(simulator: Simulator) -> None:
     outcome = process("monitor", simulator.port, "--json", "--duration", "2.5")
     assert (outcome.status, outcome.err) == (0, "")
@@ -122,6 +124,7 @@ def test_monitor_prints_one_object_per_second_and_ends_by_itself(simulator: Simu
         assert "magnetometer" not in line, "an item that never came is absent, not zero"
 
 
+@pytest.mark.pty
 def test_monitor_ends_with_ctrl_c_and_with_the_plug(simulator: Simulator) -> None:
     running = subprocess.Popen(
         [sys.executable, "-m", "m100link", "monitor", simulator.port, "--json"],
