@@ -75,7 +75,7 @@ def own_files(module: str) -> tuple[str, ...]:
     stem, test = Path(module).stem, mirrored(module)
     if not test:
         return ()
-    names = (*PARTNERS.get(stem, ()), "values")  # tables of what goes in and comes out
+    names = (*PARTNERS.get(stem, ()), "values", "calls")  # tables of what goes in and comes out
     partners = (Path(test).with_name(f"test_{name}.py") for name in names)
     return test, *(str(path) for path in partners if (ROOT / path).exists())
 
