@@ -20,6 +20,7 @@ from m100link.apps.mavlink.translator.codec import (
     MavlinkMessage,
     MessageReader,
     PacketSigner,
+    ending_command,
     write_frame,
 )
 from m100link.apps.mavlink.translator.vehicle import MavlinkVehicle
@@ -106,6 +107,36 @@ def test_a_datagram_is_left_when_it_cost_too_much() -> None:
     reading = MessageReader(valid + hostile, most=16_384)
     assert len(list(reading)) == 1, "what stands before it is read"
     assert reading.checked < 17_000
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_a_command_that_may_end_a_flight_is_found_by_its_bytes(version: int) -> None:
+    """MAVLink 1: sender at 3 and 4, number at 5, payload from 6; 2: at 5 and 6, 7 to 9, 10."""
+
+    def framed(name: str, **fields: Any) -> bytes:
+        whole = write_frame(MavlinkMessage(name, fields, component=190), system=245, sequence=3)
+        if version == 2:
+            return whole
+        payload = whole[10:-2].ljust(LAYOUTS[name].size, b"\0")  # zeros are sent, too
+        return bytes((0xFE, len(payload), 3, 245, 190, whole[7])) + payload + whole[-2:]
+
+    to_us = {"target_system": 7, "target_component": 1}
+    for command in (20, 21, 176, 192, 193, 262, 400):
+        for name in ("COMMAND_LONG", "COMMAND_INT"):
+            found = ending_command(framed(name, command=command, **to_us))
+            assert found == (245, 190, 7, command), (name, command)
+    assert ending_command(framed("SET_MODE", custom_mode=1, target_system=7, base_mode=1)) == (
+        245,
+        190,
+        7,
+        176,
+    )
+    for other in (22, 16, 178, 300):
+        assert ending_command(framed("COMMAND_LONG", command=other, **to_us)) is None
+    assert ending_command(framed("MANUAL_CONTROL", x=21, target=7)) is None
+    whole = framed("COMMAND_LONG", command=21, **to_us)
+    assert ending_command(whole + bytes(64)) is None, "more than one"
+    assert ending_command(bytes((1,)) + whole[1:]) is None
 
 
 # -- signatures -----------------------------------------------------------------------------------
