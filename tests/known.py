@@ -159,7 +159,7 @@ class Known:
         return self.items.get(record)
 
     def received_at(self, record: type[Any]) -> float | None:
-        return 0.0 if record in self.items else None
+        return -self.ages.get(record, 0.0) if record in self.items else None
 
     def fresh(
         self, record: type[Any], *, within: float | None = None, now: float | None = None
