@@ -203,12 +203,11 @@ class FlightModeManager:
             self._call_off(request.mode, f"{request.mode.value} was requested")
             return MavResult.ACCEPTED
         step = RUNNING[self.running][request.mode]
-        is_later = step is ModeTransition.WAIT and self._waiting is not None
+        is_later = step is ModeTransition.WAIT and request.mode not in _TO_THE_GROUND
         if is_later and self._waiting is not None and self._waiting.mode in _TO_THE_GROUND:
-            step = step if request.mode in _TO_THE_GROUND else ModeTransition.REFUSE
+            step = ModeTransition.REFUSE
         if step is ModeTransition.REFUSE:
-            flies = self._waiting.mode if is_later and self._waiting else self._mode
-            return self._refuse(request.mode.value, f"{flies.value} goes on")
+            return self._refuse(request.mode.value, f"{self._mode.value} goes on")
         self._take_operator(request.peer)
         if step is ModeTransition.WAIT:
             self._waiting, self._mode = request, request.mode

@@ -211,7 +211,7 @@ def test_a_wish_over_what_flies(running: FlightSource, mode: Mode) -> None:
 
 @pytest.mark.parametrize("mode", Mode)
 def test_what_waits_to_come_down_after_a_take_off_is_not_put_off(mode: Mode) -> None:
-    manager, _, _ = manager_in(VehiclePhase.AIRBORNE)
+    manager, _, told = manager_in(VehiclePhase.AIRBORNE)
     let_fly(manager, FlightSource.TAKE_OFF)
     assert RUNNING[FlightSource.TAKE_OFF][Mode.LAND] is ModeTransition.WAIT
     assert (
@@ -224,6 +224,8 @@ def test_what_waits_to_come_down_after_a_take_off_is_not_put_off(mode: Mode) -> 
     refused = is_later or step is ModeTransition.REFUSE
     expected = MavResult.TEMPORARILY_REJECTED if refused else MavResult.ACCEPTED
     assert manager.request_mode(ModeRequest(mode, ORDERS[mode], PEER), 0.0) is expected
+    refusals = [text for _, text in told if "goes on" in text]
+    assert refusals == [f"{mode.value}: Land goes on"] * refused
 
 
 @pytest.mark.parametrize("mode", Mode)
