@@ -11,20 +11,28 @@ from types import SimpleNamespace
 from typing import Any
 from unittest.mock import ANY, AsyncMock, MagicMock, call
 
+import anyio
 import pytest
 
 from m100link.apps.agent import messages, orders
 from m100link.apps.agent.background import TaskSet
+from m100link.apps.agent.lease import Flown, Lease, LeaseChange
 from m100link.apps.agent.messages import GuardLimits, Journal
 from m100link.apps.agent.orders import ORDERS, CameraUse
 from m100link.apps.agent.server.agent import HANDLERS, Agent
-from m100link.apps.agent.server.authority import HoldingState
+from m100link.apps.agent.server.authority import (
+    HoldingInput,
+    HoldingState,
+    OrphanedAuthority,
+    Owed,
+)
 from m100link.apps.agent.server.connection import ConnectionState
 from m100link.apps.agent.server.flight import ActiveFlight, GuidedFlightManager, pattern
 from m100link.apps.agent.server.replays import Replays
 from m100link.apps.agent.server.server import AgentServer
 from m100link.apps.agent.transports import memory_channels
-from m100link.errors import UsageError
+from m100link.errors import LossReason, NotObserved, UsageError
+from m100link.flight.authority import AuthorityState
 from m100link.flight.guidance import GuidanceProgress
 from m100link.flight.mission_state import MissionKind, MissionState
 from m100link.flight.missions.hotpoint import CircleHeading, CircleStart, HotpointFlight
@@ -363,6 +371,127 @@ async def test_a_guided_flight_is_given_three_times_as_long_and_half_a_minute(
         await guiding.fly(order, lambda: None)
     assert given == [timeout] * 4
     await background.end()
+
+
+@pytest.mark.parametrize("begun", [False, True])
+@pytest.mark.parametrize("work", ["watch", "stopping", ""])
+async def test_a_mission_that_is_cut_off_is_named_if_it_had_begun(
+    flying: ActiveFlight, begun: bool, work: str
+) -> None:
+    mission, task = flying.mission, MagicMock()
+    mission._what, mission._flight = "circle", MagicMock() if begun else None
+    if work:
+        setattr(mission, work, task)
+    is_named = begun and bool(work)
+    assert mission.cut_off() == ("circle" if is_named else "")
+    assert mission._is_cut_off is is_named
+    assert task.cancel.called is (is_named or work == "watch")
+
+
+# -- authority that nobody holds -------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("state", "reason", "owed"),
+    [
+        (AuthorityState.UNRELEASED, LossReason.NONE, Owed.AT_ONCE),
+        (AuthorityState.HELD, LossReason.NONE, Owed.AFTER_STOP),
+        (AuthorityState.NONE, LossReason.RELEASED, Owed.NOTHING),
+        (AuthorityState.PAUSED, LossReason.MODE_SWITCH, Owed.NOTHING),
+        (AuthorityState.LOST, LossReason.APP, Owed.NOTHING),
+        (AuthorityState.LOST, LossReason.LINK, Owed.AFTER_LEASE),
+        (AuthorityState.UNRELEASED, LossReason.LINK, Owed.AFTER_LEASE),
+    ],
+)
+@pytest.mark.parametrize("least", [Owed.AFTER_STOP, Owed.AFTER_LEASE, Owed.AT_ONCE])
+async def test_what_a_block_leaves_goes_back_when_that_much_is_owed(
+    state: AuthorityState, reason: LossReason, owed: Owed, least: Owed
+) -> None:
+    background, journal = TaskSet(), Journal(lambda: 0.0)
+    orphaned = OrphanedAuthority(journal, background)
+    aircraft: Any = MagicMock(release_authority=AsyncMock(return_value=True))
+    aircraft.authority.state, aircraft.authority.reason = state, reason
+    orphaned.connected(aircraft, is_activated=True)
+    orphaned.block_ended(aircraft)
+    assert orphaned.owed is owed
+    orphaned.look(least)
+    await anyio.sleep(0.1)
+    goes_back = owed is not Owed.NOTHING and owed >= least
+    assert aircraft.release_authority.called is goes_back
+    assert orphaned.owed is (Owed.NOTHING if goes_back else owed)
+    told = [(event.level, event.text.partition(" is given")[0]) for event in journal.events]
+    said = "control authority that this agent may have left"
+    assert told == [("warning", said)] * goes_back
+    await background.end()
+
+
+async def test_a_release_goes_out_again_each_second_and_is_reported_once() -> None:
+    background, journal = TaskSet(), Journal(lambda: 0.0)
+    orphaned = OrphanedAuthority(journal, background)
+    orphaned.owed = Owed.AT_ONCE
+    aircraft: Any = MagicMock(release_authority=AsyncMock(return_value=False))
+    orphaned.look(Owed.AT_ONCE)
+    assert orphaned.work is None, "nobody is connected"
+    orphaned.connected(aircraft, is_activated=True)
+    for _ in range(61):
+        orphaned.look(Owed.AT_ONCE)
+        await anyio.sleep(0.05)
+    assert aircraft.release_authority.call_count == 3
+    assert [event.level for event in journal.events] == ["error"]
+    assert journal.events[0].text.startswith("the agent before may have left control authority")
+    with pytest.raises(NotObserved, match="does not confirm"):
+        await orphaned.insist()
+    assert aircraft.release_authority.call_count == 4, "at once, whenever it went out"
+    orphaned.connected(None, is_activated=False)
+    owed = [orphaned.owed]
+    orphaned.connected(aircraft, is_activated=False)  # which obeys nobody
+    assert [*owed, orphaned.owed] == [Owed.AT_ONCE, Owed.NOTHING]
+    await orphaned.insist()
+    assert aircraft.release_authority.call_count == 4
+    await background.end()
+
+
+@pytest.mark.parametrize(
+    ("why", "begins", "ends", "text", "level"),
+    [
+        (LeaseChange.ACQUIRED, True, False, "new has control (acquired)", "info"),
+        (LeaseChange.TAKEN_OVER, True, True, "new has control (taken over from old)", "info"),
+        (LeaseChange.RELEASED, False, True, "old gave control back (released)", "info"),
+        (LeaseChange.EXPIRED, False, True, "old lost control (expired)", "warning"),
+        (LeaseChange.FRONT_LOST, False, True, "old lost control (its front has gone)", "warning"),
+    ],
+)
+@pytest.mark.parametrize("keeps", [0.0, 5.0])
+async def test_what_a_change_of_the_lease_ends_and_says(
+    why: LeaseChange,
+    begins: bool,
+    ends: bool,
+    text: str,
+    level: str,
+    keeps: float,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    agent = Agent(AsyncMock(), keep_authority=keeps)
+    holding: Any = MagicMock(has_authority=True, flown=Flown.PROGRAM)
+    monkeypatch.setattr(agent, "holding", holding)
+    agent.plan, told = messages.PlanChanged("old", UPLOAD), list[Any]()
+    agent.on_lease.append(lambda *one: told.append(one))
+    old, new = (Lease(name, "t", number) for number, name in enumerate(("old", "new")))
+    agent._lease_changed(why, old if ends else None, new if begins else None)
+    assert holding.flying.hover.mock_calls == [call("control changed hands")]
+    assert told == [(why, new if begins else None, Flown.PROGRAM)]
+    assert agent.plan == messages.PlanChanged(), "nobody flies what somebody else left"
+    is_kept = bool(keeps) and level == "warning"
+    fed = [] if is_kept else [HoldingInput.TAKEN_OVER if begins else HoldingInput.LET_GO]
+    assert [one.args[0] for one in holding.feed.mock_calls] == fed
+    kept = ("the aircraft hovers, control authority is kept for 5 s", "warning")
+    assert [(one.text, one.level) for one in agent.journal.events] == [kept] * is_kept + [
+        (text, level)
+    ]
+    await anyio.sleep(4.9)
+    assert not holding.let_go.called
+    await anyio.sleep(0.2)
+    assert holding.let_go.called is is_kept
 
 
 # -- what fronts are told --------------------------------------------------------------------------
