@@ -70,6 +70,15 @@ def test_skew_is_found_under_jitter_and_the_truth_lies_within_the_uncertainty(
     assert clock.uncertainty_s < 0.01
 
 
+def test_the_rate_is_that_of_the_last_minute() -> None:
+    """A crystal that warms up: 80 ppm since a minute and a half, and none before."""
+    clock = DeviceClock(TICK_HZ)
+    run(clock, seconds=90)
+    run(clock, seconds=90, skew=80e-6, offset=1090.0, start_tick=90 * TICK_HZ)
+    assert clock.resets == 0
+    assert clock.skew_ppm == pytest.approx(80, abs=3)
+
+
 def test_the_tick_wraps_without_a_jump() -> None:
     clock = DeviceClock(TICK_HZ)
     start = (1 << 32) - 10 * TICK_HZ
