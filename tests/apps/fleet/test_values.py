@@ -6,6 +6,7 @@ are made and read by code of this file.
 
 from __future__ import annotations
 
+import asyncio
 import base64
 import dataclasses
 import hashlib
@@ -16,6 +17,7 @@ import math
 import struct
 from types import SimpleNamespace
 from typing import Any, cast
+from unittest.mock import AsyncMock, MagicMock, call
 
 import anyio
 import pytest
@@ -25,8 +27,10 @@ pytest.importorskip("zenoh")
 
 import m100link
 from m100link.apps.agent.messages import Event, LeaseChanged, RemoteError, State, Steer, Telemetry
-from m100link.apps.agent.orders import TakeOff
+from m100link.apps.agent.orders import Land, Stop, TakeOff
+from m100link.apps.bus.session import LARGEST
 from m100link.apps.cli import fleet_verbs, fleet_watch
+from m100link.apps.fleet import client as clients
 from m100link.apps.fleet.agent import FleetAgent
 from m100link.apps.fleet.keys import Keys
 from m100link.apps.fleet.lost_link import LostLinkPlan
@@ -48,6 +52,7 @@ from m100link.apps.fleet.payloads import (
     unpack_steer,
 )
 from m100link.apps.fleet.publisher import FleetTelemetry
+from m100link.errors import GuardRefused, M100Error, NotAllowed, OutcomeUnknown
 from m100link.missions.plan import WaypointPlan
 from m100link.missions.waypoint import Waypoint
 from m100link.protocol.records import Battery, Position
@@ -354,3 +359,155 @@ async def test_an_operator_hears_the_values_that_were_sent() -> None:
     await anyio.sleep(0.1)
     assert (hears.unread, hears.received["kite"]) == (1, 2)
     hears.close()
+
+
+# -- what an operator's program gives, where it arrives --------------------------------------------
+
+
+async def test_each_option_of_a_fleet_reaches_its_askers(monkeypatch: pytest.MonkeyPatch) -> None:
+    made, bus = MagicMock(), MagicMock()
+    monkeypatch.setattr(clients, "Asker", made)
+    sign, utc = MagicMock(), MagicMock()
+    fleet = clients.Fleet(bus, site="field", name="anna", sign=sign, patience=7.5, utc=utc)
+    fleet._on_token("m100-live/field/kite/beef", is_there=True)
+    fleet.asker("kite")
+    fleet.asker("hawk", "console")
+    first, second = made.mock_calls
+    assert first.args == (bus, Keys("field", "kite"), "anna")
+    assert second.args == (bus, Keys("field", "hawk"), "anna: console")
+    for one, present in ((first, True), (second, False)):
+        options = dict(one.kwargs)
+        assert bool(options.pop("sessions")()) is present
+        assert options == {"patience": 7.5, "utc": utc, "sign": sign, "unstopped": {}}
+    assert first.kwargs["unstopped"] is second.kwargs["unstopped"], "one STOP is of all of them"
+    control = MagicMock()
+    monkeypatch.setattr(clients, "FleetControl", control)
+    aircraft = fleet["kite"]
+    aircraft.control(stop="land", take_over=True)
+    aircraft.control()
+    assert control.mock_calls == [
+        call(aircraft.asker, "anna", stop="land", take_over=True),
+        call(aircraft.asker, "anna", stop="hover", take_over=False),
+    ]
+
+
+async def test_a_connection_to_a_fleet_has_the_names_and_times_of_its_caller(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    opened, made, sign = MagicMock(), MagicMock(), MagicMock()
+    monkeypatch.setattr(clients, "open_fleet", opened)
+    monkeypatch.setattr(clients, "Fleet", made)
+    given: dict[str, Any] = {"site": "field", "name": "anna", "sign": sign, "patience": 7.5}
+    more = {"transport/x": "1"}
+    async with clients.connect("tcp/a:1", "tcp/b:2", options=more, **given) as fleet:
+        assert fleet is made.return_value.__aenter__.return_value
+    opened.assert_called_once_with("client", connect=("tcp/a:1", "tcp/b:2"), options=more)
+    made.assert_called_once_with(opened.return_value.__aenter__.return_value, **given)
+
+
+@pytest.mark.parametrize("mode", ["client", "router"])
+def test_a_session_of_a_fleet_meets_named_endpoints_alone(
+    mode: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened = MagicMock()
+    monkeypatch.setattr(clients, "open_session", opened)
+    is_router = mode == "router"
+    own = {"scouting/gossip/enabled": "true", "x": "1"}
+    clients.open_fleet(
+        mode, connect=("tcp/a:1",), listen=("tcp/b:2",), options=own, is_patient=is_router
+    )
+    [opening] = opened.call_args.args
+    assert opening.options == {
+        "mode": f'"{mode}"',
+        "connect/endpoints": '["tcp/a:1"]',
+        "connect/timeout_ms": "-1" if is_router else "0",
+        "connect/exit_on_failure": "false" if is_router else "true",
+        "transport/unicast/open_timeout": "2000",
+        "listen/endpoints": '["tcp/b:2"]',
+        "scouting/multicast/enabled": "false",
+        "scouting/gossip/enabled": "true",  # as somebody wants it
+        "transport/link/tx/lease": "1200",
+        "transport/link/rx/max_message_size": str(LARGEST),
+        "transport/link/tx/queue/size/data": "8",
+        "x": "1",
+    }
+    assert (opening.patience_s, opening.is_patient) == (2.0, is_router)
+    assert opening.remedies["client"] == "m100link fleet router --listen tcp/127.0.0.1:7447"
+
+
+OLD = GuardRefused("too old", guard="order_age")
+OUTSIDE = GuardRefused("too far", guard="envelope")
+UNSURE = OutcomeUnknown("no answer")
+
+
+@pytest.mark.parametrize(
+    ("ends", "asked", "raised"),
+    [
+        ([None], 1, None),
+        ([OLD, None], 2, None),
+        ([OLD, OLD, OLD], 3, OLD),
+        ([OUTSIDE], 1, OUTSIDE),
+        ([OLD, UNSURE], 2, UNSURE),
+    ],
+)
+async def test_a_landing_is_asked_for_again_while_it_is_too_old_and_of_each_that_may_be_it(
+    ends: list[Any], asked: int, raised: M100Error | None
+) -> None:
+    left = [*ends, *[None] * 20]
+
+    async def answered(*_: Any, **__: Any) -> None:
+        asker.doubtful_clocks = [100.0 + number for number in range(9)]
+        if (error := left.pop(0)) is not None:
+            raise error
+
+    asker: Any = MagicMock(ask=AsyncMock(side_effect=answered))
+    asker.its_time.side_effect = lambda _: 1000.0
+    landing = clients.FleetAircraft(asker, "anna").land()
+    if raised is None:
+        await landing
+    else:
+        with pytest.raises(type(raised), match=raised.seen):
+            await landing
+    each = asker.ask.mock_calls[asked:]
+    assert asker.ask.mock_calls[:asked] == [call(Land(), since=1000.0)] * asked
+    assert [one.kwargs["clock"] for one in each] == (
+        [100.0 + number for number in range(8)] if raised is UNSURE else []
+    )
+    assert all(one.kwargs["since"] <= one.kwargs["clock"] for one in each)
+
+
+@pytest.mark.parametrize("error", [NotAllowed("old"), UNSURE])
+async def test_a_stop_is_asked_for_again_where_a_calendar_is_wrong(error: M100Error) -> None:
+    asker: Any = MagicMock(ask=AsyncMock(side_effect=[error, None]))
+    stopping = clients.FleetAircraft(asker, "anna").stop()
+    if isinstance(error, NotAllowed):
+        await stopping
+    else:
+        with pytest.raises(OutcomeUnknown):
+            await stopping
+    assert asker.ask.mock_calls == [call(Stop())] * (1 + isinstance(error, NotAllowed))
+
+
+async def test_how_long_ago_one_was_heard_that_is_gone() -> None:
+    fleet, now = clients.Fleet(MagicMock(), site="field"), 100.0
+    fleet._clock = lambda: now
+    told: list[Any] = []
+
+    async def listen() -> None:
+        async for change in fleet.changes():
+            told.append((change.name, change.is_there, change.silent_s))
+
+    live = "m100-live/field/kite/"
+    fleet._on_token(f"{live}a", is_there=True)
+    task = asyncio.create_task(listen())
+    await asyncio.sleep(0.0)
+    fleet._on_token(f"{live}b", is_there=True)  # it is there already
+    fleet._on_state("m100/field/kite/state", b"")
+    now = 102.5
+    fleet._on_token(f"{live}a", is_there=False)
+    assert fleet.present == {"kite"}
+    fleet._on_token(f"{live}b", is_there=False)
+    await asyncio.sleep(0.0)
+    assert told == [("kite", True, None), ("kite", False, 2.5)]
+    assert fleet.present == frozenset()
+    task.cancel()
