@@ -36,7 +36,7 @@ from m100link import (
 from m100link.protocol.firmware import FIRMWARE_1_0, PROFILES
 from m100link.protocol.items import BY_NAME, BY_RECORD
 from m100link.sim import VirtualClockEventLoop
-from m100link.telemetry.subscription import Hub, Policy, Subscription
+from m100link.telemetry.subscription import Hub, Policy, Subscription, TelemetryStream
 from tests.rig import FIRMWARES, rig
 from tests.support import load_vectors
 
@@ -564,3 +564,13 @@ def test_a_mismatch_names_the_profiles_that_fit() -> None:
     )
     with pytest.raises(LayoutMismatch, match=r"3\.1"):
         Sample(bytes.fromhex(vector["value"]), FIRMWARE_1_0, 0.0)
+
+
+def test_a_firmware_with_another_tick_has_another_clock() -> None:
+    """600 ticks a second on 1.0 and 2.3, 400 on 3.1."""
+    stream = TelemetryStream(lambda _: None, lambda: 0.0)
+    clocks = [stream.clock_of(PROFILES[name]) for name in ("1.0", "2.3", "3.1", "3.1", "1.0")]
+    assert [clock.tick_hz for clock in clocks] == [600, 600, 400, 400, 600]
+    assert clocks[0] is clocks[1]
+    assert clocks[2] is clocks[3]
+    assert clocks[4] is not clocks[0]
