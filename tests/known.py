@@ -149,6 +149,11 @@ class Known:
         return None if self.newest_age is None else -self.newest_age
 
     @property
+    def believed_status(self) -> FlightStatus | None:
+        found: FlightStatus | None = self.items.get(FlightStatus)
+        return found
+
+    @property
     def view(self) -> VehicleView:
         """At the time 0."""
         connection = "connected" if self.is_connected else "lost"

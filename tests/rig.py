@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from collections.abc import AsyncIterator, Iterator
+from contextlib import asynccontextmanager, contextmanager
+from itertools import count
 from typing import Any
+
+import pytest
 
 from m100link import Aircraft, Control, FlightPhase, Setpoint
 from m100link.protocol.commands.control import Move
 from m100link.protocol.records import Device
 from m100link.sim.vehicle.activation import Grant
+from m100link.sim.vehicle.sensors import Sensors
 from m100link.sim.virtual import VirtualAircraft
 from m100link.testing import ConnectableAircraft
 
@@ -135,3 +139,16 @@ async def rig(*, activated: bool = True, **options: Any) -> AsyncIterator[Rig]:
             await asyncio.sleep(1.1)
         yield Rig(virtual, aircraft)
     virtual.stop()
+
+
+@contextmanager
+def wrong_standing() -> Iterator[None]:
+    """In the air two flight statuses of three say that it stands."""
+    read, told = Sensors._read_flight_status, count()
+
+    def read_wrong(sensors: Sensors) -> tuple[float, ...]:
+        return (FlightPhase.STANDBY,) if next(told) % 3 else read(sensors)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Sensors, "_read_flight_status", read_wrong)
+        yield

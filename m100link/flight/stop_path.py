@@ -16,7 +16,7 @@ from m100link.flight.handover import explained_loss, release_authority
 from m100link.flight.lifecycle import STOP_PLANS, BlockState, Lifecycle, StopCause
 from m100link.flight.missions.mission_guard import MissionGuard
 from m100link.flight.setpoints import NEUTRAL_TIME, SetpointLoop
-from m100link.flight.tasks import Commander, is_on_ground, run_task, switch_motors
+from m100link.flight.tasks import Commander, is_on_ground, run_task, stands, switch_motors
 from m100link.protocol.commands.control import Task
 from m100link.protocol.records import FlightPhase, FlightStatus
 
@@ -28,7 +28,6 @@ StopAction = Literal["hover", "land"]  # what the stop path does after the neutr
 _LANDING_DEADLINE_S = 60.0
 _LANDING_RETRY_S = 0.5
 _STATUS_POLL_S = 0.1
-_STATUS_CONFIRMED_S = 0.25  # in which a second flight status comes, unless it is sent seldom
 _LEAVES_THE_GROUND_S = 1.0  # after a take-off was commanded, if it does at all
 
 
@@ -207,15 +206,16 @@ class StopPath:
             return
 
     def _may_be_airborne(self, *, says_why: bool = True) -> bool:
-        """By the newest status; while that is unknown, by whether a take-off was commanded."""
+        """By what is believed of it; where nothing is, by whether a take-off was commanded."""
         state, take_off_at = self._commander.state, self._take_off_at
-        status, status_at = state.flight_status, state.received_at(FlightStatus)
-        if status is not None and status.status != FlightPhase.STANDBY:
+        status, status_at = state.believed_status, state.received_at(FlightStatus)
+        is_new = known(state, FlightStatus) is not None
+        if is_new if status is None else status.status != FlightPhase.STANDBY:
             return True
         if take_off_at is not None:  # a "standby" from before it left the ground proves nothing
             leaves_at = take_off_at + _LEAVES_THE_GROUND_S + self._slack_s
             return status_at is None or status_at < leaves_at
-        if says_why and known(state, FlightStatus) is None:
+        if says_why and not is_new:
             _logger.error(
                 "stop='land' did not land: the flight status is %s, and no take-off was commanded",
                 "unknown" if status is None else "old",
@@ -240,15 +240,8 @@ class StopPath:
             _logger.error("the stop path could not stop the motors: %s", error)
 
     async def _stands(self) -> bool:
-        """Whether it is not in the air, as two flight statuses tell: one alone may be wrong."""
-        state, until = self._commander.state, self._clock() + _STATUS_CONFIRMED_S
-        first_at = state.received_at(FlightStatus)
-        if self._may_be_airborne():
-            return False
-        while state.received_at(FlightStatus) == first_at:
-            if self._clock() >= until:
-                break
-            await asyncio.sleep(0.02)
+        """Whether it is not in the air, after statuses of standing could become several."""
+        await stands(self._commander.state)
         return not self._may_be_airborne()
 
     async def _lands_by_plan(self) -> bool:

@@ -41,6 +41,7 @@ _logger = logging.getLogger(__name__)
 _POLL_S = 0.25
 _SHOWN_POLL_S = 0.02
 _SHOWN_WITHIN_S = 1.2  # more than one period of an item that is sent once a second
+_STANDS_WITHIN_S = 2.5  # more than two of them: after three statuses of standing it counts
 _QUERY_INTERVAL_S = 1.0
 _TAKEN_OFF_HEIGHT_M = 1.0
 _SETTLED_S = 1.0
@@ -245,8 +246,10 @@ class _Watch:
         result = self._result
         if result == TaskResultCode.SUCCEEDED:
             # Not against telemetry: some firmware answers about another order.
-            status = known(self._state, FlightStatus)
-            return status is None or status.phase in (None, *_PHASES[self._task, result])
+            if known(self._state, FlightStatus) is None:
+                return True
+            status = self._state.believed_status
+            return status is not None and status.phase in (None, *_PHASES[self._task, result])
         if result == TaskResultCode.FAILED:
             raise TaskFailed(
                 f"{task_name(self._task)} began and failed",
@@ -367,9 +370,19 @@ class SettingsPace:
 
 
 def is_on_ground(state: AircraftState) -> bool | None:
-    """Whether the newest flight status says so; None when nobody knows."""
-    status = known(state, FlightStatus)
+    """Whether it stands, as several flight statuses tell; None when nobody knows."""
+    status = state.believed_status if known(state, FlightStatus) is not None else None
     return None if status is None else status.status == FlightPhase.STANDBY
+
+
+async def stands(state: AircraftState) -> bool | None:
+    """The same, after statuses that say so could become several."""
+    clock = asyncio.get_running_loop().time
+    until = clock() + _STANDS_WITHIN_S
+    # No event tells of it, and a status that never becomes believed is an answer, too.
+    while state.flight_status != state.believed_status and clock() < until:  # noqa: ASYNC110
+        await asyncio.sleep(_SHOWN_POLL_S)
+    return is_on_ground(state)
 
 
 async def switch_motors(commander: Commander, *, on: bool) -> None:
@@ -449,7 +462,7 @@ class Motors:
             AckTimeout: Nobody knows whether they stand.
         """
         self._make_way("disarm")
-        on_ground = is_on_ground(self._commander.state)
+        on_ground = await stands(self._commander.state)
         if on_ground is None:
             raise TelemetryStalled(
                 "disarm was not sent: nobody knows whether the aircraft is on the ground",

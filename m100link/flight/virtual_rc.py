@@ -43,6 +43,7 @@ from m100link.flight.tasks import (
     Deflections,
     SettingsPace,
     is_on_ground,
+    stands,
 )
 from m100link.flight.watchdog import TelemetryWatchdog
 from m100link.protocol.command import in_range
@@ -401,7 +402,7 @@ class VirtualRc:
         await self._guards.admit_take_off()
         # Again: the guards may have waited 1.5 s for their values.
         self._require_flying()
-        if not is_on_ground(self._commander.state):
+        if not await stands(self._commander.state):
             raise TaskRefused(
                 "the motors were not toggled: the aircraft is not known to be on the ground",
                 command="toggle_motors",

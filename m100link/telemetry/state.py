@@ -12,7 +12,15 @@ from typing import Any, TypeVar
 
 from m100link.protocol.items import BY_RECORD, ITEMS, RecordViews
 from m100link.protocol.packet import remember
-from m100link.protocol.records import Attitude, Battery, FlightStatus, Position, Time
+from m100link.protocol.records import (
+    Attitude,
+    Battery,
+    FlightPhase,
+    FlightStatus,
+    Position,
+    Time,
+    Velocity,
+)
 from m100link.telemetry.integrity import Integrity, IntegrityMonitor
 from m100link.telemetry.sample import Sample
 
@@ -61,6 +69,18 @@ def is_possible(record: tuple[Any, ...]) -> bool:
     if isinstance(record, Attitude):
         return 0.5 < sum([part * part for part in record]) < 2.0  # a unit quaternion, roughly
     return not isinstance(record, Battery) or record.is_possible
+
+
+# -- when a status of standing is believed: one rule for the flight and for every front ------------
+# One wrong status in the air must not end a landing, nor let anybody put a hand to the propellers.
+
+_STANDS_SAMPLES = 3  # so many in a row
+_STANDS_S = 0.5  # over so many seconds
+_STANDS_UP_M_S = 0.5  # a faster climb or descent contradicts it
+_STANDS_M_S = 2.0  # a faster velocity over ground too; a person who carries it is slower
+_STANDS_M = 0.3  # by which the height may change in that time
+
+_STATUS_FLAG = 1 << BY_RECORD[FlightStatus].bit
 
 
 def _shown(field: tuple[str, object]) -> str:
@@ -123,11 +143,14 @@ class AircraftState(RecordViews):
 
     Attributes:
         newest_at: When any telemetry arrived last, on the event loop's clock; None: never.
+        believed_status: The newest flight status, except one of standing on the ground: that counts
+            after three in a row over half a second, while velocity and height do not contradict.
+            Until then this is the one before; None where there is none, and nobody knows.
     """
 
     __slots__ = (
         *("__dict__", "__weakref__", "_cells", "_cells_of", "_clock", "_first", "_monitor"),
-        "newest_at",
+        *("_standing", "believed_status", "newest_at"),
     )
 
     def __init__(self, clock: Callable[[], float]) -> None:
@@ -138,6 +161,10 @@ class AircraftState(RecordViews):
         self.newest_at: float | None = None
         self._first: Sample | None = None  # that has a time
         self._monitor: IntegrityMonitor | None = None  # few ever ask
+        self.believed_status: FlightStatus | None = None
+        # Of the statuses of standing in a row: how many, when the first and the newest arrived, and
+        # the height at the first.
+        self._standing: tuple[int, float, float, float | None] | None = None
 
     def __repr__(self) -> str:
         known = {name: value for name, value in self.situation().items() if value is not None}
@@ -176,6 +203,35 @@ class AircraftState(RecordViews):
             if arrivals and now - arrivals[0] > _WINDOW_S:
                 arrivals.popleft()
             arrivals.append(now)
+        if flags & _STATUS_FLAG:
+            status = sample[FlightStatus]
+            if status.status != FlightPhase.STANDBY:
+                self.believed_status, self._standing = status, None
+            else:
+                self._look_at_standing(status, now)
+
+    def _look_at_standing(self, status: FlightStatus, now: float) -> None:
+        count, since, newest, height_m = self._standing or (0, now, now, None)
+        position = self.fresh(Position, now=now)
+        here_m = None if position is None else position.height_m
+        moved_m = 0.0 if here_m is None or height_m is None else abs(here_m - height_m)
+        is_whole = 0.0 <= now - newest <= FRESH_S[FlightStatus]
+        if moved_m > _STANDS_M or self._moves(now) or not is_whole:
+            count, since, height_m = 0, now, None
+            if self.believed_status == status:
+                self.believed_status = None
+        if count + 1 >= _STANDS_SAMPLES and now - since >= _STANDS_S:
+            self.believed_status = status
+            here_m = height_m = None  # a barometer drifts for as long as it stands
+        first_m = here_m if height_m is None else height_m
+        self._standing = count + 1, since, now, first_m
+
+    def _moves(self, now: float) -> bool:
+        """Whether the velocity, where the aircraft vouches for one, is none of a stand."""
+        found = self.fresh(Velocity, within=STEER_S, now=now)
+        if found is None or found.is_valid is False:
+            return False
+        return abs(found.up_m_s) > _STANDS_UP_M_S or found.ground_speed_m_s > _STANDS_M_S
 
     def _split(self, sample: Sample) -> tuple[_Cell, ...]:
         """The cells of packages with these flags, made so that each is of them whole or not at all.

@@ -11,6 +11,7 @@ from __future__ import annotations
 import random
 import re
 from collections import Counter
+from contextlib import nullcontext
 from enum import Enum
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
@@ -31,6 +32,7 @@ from tests.apps.every_front import (
     Rosbridge,
     Sync,
 )
+from tests.rig import wrong_standing
 
 pytestmark = pytest.mark.anyio
 
@@ -51,6 +53,7 @@ class Event(Enum):
     STOP_ELSEWHERE = "STOP at another front"
     FLOOD = "STOP at this front, behind more of its own messages than it may send"
     LAND = "this front lands it"
+    LAND_WRONG = "the same, while in the air two flight statuses of three say that it stands"
     TAKE_OVER = "another client takes the lease over"
     LEAVE_F = "the pilot leaves F and is back after 2 s"
     TAKE_OVER_OUT_OF_F = "another client takes the lease over while the pilot is out of F"
@@ -305,6 +308,8 @@ TABLE: dict[Event, dict[type[Front], End | Cannot]] = {
 }
 """By hand, from safety.md, the page of each front and agent.md."""
 
+TABLE[Event.LAND_WRONG] = TABLE[Event.LAND]
+
 
 BY_PROCESSES: dict[type[Front], tuple[str, ...]] = {
     Console: (
@@ -342,6 +347,8 @@ async def let_it_happen(front: Any, event: Event) -> None:
         await front.passes(2.5)
         for _ in range(20):
             front.send_late()
+    elif event is Event.LAND_WRONG:
+        await front.land()
     elif event is Event.JUNK:
         for _ in range(10):
             front.send_junk()
@@ -453,6 +460,10 @@ class Cells:
         if isinstance(end, Cannot):
             pytest.skip(end.why)
         front = self.front()
+        with wrong_standing() if event is Event.LAND_WRONG else nullcontext():
+            await self._judge(front, event, end)
+
+    async def _judge(self, front: Front, event: Event, end: End) -> None:
         async with front.open():
             await front.begin()
             heard = Counter(front.words().split("\n"))
@@ -482,6 +493,9 @@ class Cells:
 
     async def test_land(self) -> None:
         await self.judge(Event.LAND)
+
+    async def test_land_wrong(self) -> None:
+        await self.judge(Event.LAND_WRONG)
 
     async def test_take_over(self) -> None:
         await self.judge(Event.TAKE_OVER)

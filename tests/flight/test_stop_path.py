@@ -384,7 +384,7 @@ async def test_a_take_off_that_was_refused_is_nothing_to_land_from() -> None:
 
 async def without_status(flown: Rig) -> None:
     flown.virtual.set_rates(flight_status=0)
-    flown.aircraft.state._cells[FlightStatus].sample = None
+    flown.aircraft.state._cells[FlightStatus].sample = flown.aircraft.state.believed_status = None
     assert flown.aircraft.state.flight_status is None
     assert flown.aircraft.state.position is not None
 

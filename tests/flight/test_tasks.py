@@ -31,7 +31,7 @@ from m100link.protocol.commands.control import QueryTask, StartTask, Task
 from m100link.sim import AircraftSettings, LineFaults
 from m100link.telemetry.sample import Sample
 from m100link.telemetry.state import AircraftState
-from tests.rig import FIRMWARES, Rig, rig
+from tests.rig import FIRMWARES, Rig, put_in_the_air, rig, wrong_standing
 
 pytestmark = pytest.mark.anyio
 
@@ -425,3 +425,20 @@ async def test_a_take_off_is_seen_done_when_it_hovers_a_metre_up_or_more(
     told = Told(items, repeat(NOT_CURRENT))
     with contextlib.nullcontext() if is_done else pytest.raises(NotObserved):
         await told.run(Task.TAKE_OFF, timeout=5)
+
+
+@each_firmware
+@pytest.mark.parametrize("bring_down", ["land", "go_home"])
+@pytest.mark.parametrize("answer", [NOT_CURRENT, TaskResultCode.SUCCEEDED])
+async def test_wrong_statuses_of_standing_end_no_landing(
+    firmware: str, bring_down: str, answer: TaskResultCode
+) -> None:
+    async with rig(firmware=firmware) as flown, flown.aircraft.control() as control:
+        flown.virtual.autopilot._commands._handlers[QueryTask] = lambda _: answer
+        put_in_the_air(flown.virtual, 5.0)
+        await asyncio.sleep(1.0)
+        with wrong_standing():
+            await asyncio.sleep(1.0)
+            await getattr(control, bring_down)()
+            assert flown.virtual.height == 0.0
+            assert not flown.is_running

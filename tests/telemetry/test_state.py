@@ -165,3 +165,90 @@ def test_what_no_rate_is_made_of_any_more_is_forgotten(state: AircraftState, her
     assert len(cell.arrivals) <= 2.5 * hertz + 2
     assert state.statistics(Attitude).rate_hz == pytest.approx(hertz)
     assert state.statistics(Attitude).count == 3000
+
+
+# -- when a status of standing is believed ---------------------------------------------------------
+
+STANDS, LANDS, FLIES = 1, 4, 3
+
+
+def told(state: AircraftState, at: float, status: int, **items: tuple[float, ...]) -> int | None:
+    """A status arrives, and perhaps more; returns the one that is believed then."""
+    state.update(sample(at, flight_status=(status,), **items))
+    believed = state.believed_status
+    return None if believed is None else believed.status
+
+
+@pytest.mark.parametrize("rate_hz", [1.0, 5.0, 10.0, 50.0, 100.0])
+def test_standing_is_believed_after_three_statuses_over_half_a_second(
+    state: AircraftState, rate_hz: float
+) -> None:
+    assert told(state, 100.0, LANDS) == LANDS
+    at, count = 100.0 + 1 / rate_hz, 1
+    first = at
+    while told(state, at, STANDS) == LANDS:
+        assert count < 3 or at - first < 0.5, "too late"
+        at, count = at + 1 / rate_hz, count + 1
+    assert count >= 3
+    assert 0.5 <= at - first < 0.5 + 2 / rate_hz or rate_hz == 1.0
+    assert told(state, at + 1 / rate_hz, FLIES) == FLIES  # which a single one is enough for
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_no_drawing_of_wrong_statuses_makes_what_flies_stand(
+    state: AircraftState, seed: int
+) -> None:
+    """Up to four of them in a row, at any rate, of which half a second holds at least one true."""
+    chance = random.Random(seed)
+    at, rate_hz = 100.0, chance.choice((1.0, 5.0, 10.0))
+    believed = {told(state, at, FLIES)}
+    for _ in range(200):
+        for status in [STANDS] * chance.randint(0, 2 if rate_hz < 10.0 else 4) + [FLIES]:
+            at += chance.uniform(0.9, 1.1) / rate_hz
+            believed.add(told(state, at, status))
+    assert believed == {FLIES}, f"seed {seed}"
+
+
+def test_what_has_only_been_told_once_is_not_known(state: AircraftState) -> None:
+    assert [told(state, at, STANDS) for at in (100.0, 100.3, 100.5, 100.6)] == [*[None] * 2, 1, 1]
+
+
+@pytest.mark.parametrize(
+    "moving",
+    [
+        {"velocity": (0.0, 0.0, 0.6)},
+        {"velocity": (0.0, 0.0, -0.6)},
+        {"velocity": (1.5, 1.5, 0.0)},
+    ],
+)
+def test_what_moves_does_not_stand_however_often_it_is_told(
+    state: AircraftState, moving: dict[str, tuple[float, ...]]
+) -> None:
+    still = {"velocity": (0.1, 0.1, 0.1)}
+    ats = [100.0 + step / 10 for step in range(20)]
+    assert {told(state, at, STANDS, **moving) for at in ats} == {None}
+    assert told(state, 103.0, FLIES) == FLIES
+    assert {told(state, at + 4.0, STANDS, **moving) for at in ats} == {FLIES}
+    assert [told(state, at + 7.0, STANDS, **still) for at in ats][-1] == STANDS
+    assert told(state, 109.1, STANDS, **moving) is None  # it stood, and nobody knows any more
+
+
+def test_a_height_that_changes_contradicts_where_no_velocity_comes(state: AircraftState) -> None:
+    def at_height(height: float) -> dict[str, tuple[float, ...]]:
+        return {"position": (0.4, 2.0, 100.0, height, 5)}
+
+    told(state, 100.0, LANDS)
+    sinking = [told(state, 100.1 + n / 10, STANDS, **at_height(9.0 - n / 10)) for n in range(30)]
+    assert set(sinking) == {LANDS}
+    down = [told(state, 103.1 + n / 10, STANDS, **at_height(0.0)) for n in range(10)]
+    assert down[-1] == STANDS
+    # A barometer drifts for as long as it stands.
+    drifts = [told(state, 104.1 + n / 10, STANDS, **at_height(n / 10)) for n in range(30)]
+    assert set(drifts) == {STANDS}
+
+
+def test_a_silence_of_the_status_is_no_word_for_standing(state: AircraftState) -> None:
+    told(state, 100.0, FLIES)
+    assert [told(state, at, STANDS) for at in (101.0, 104.0, 107.0, 110.0)] == [FLIES] * 4
+    assert [told(state, at, STANDS) for at in (111.0, 112.0)] == [FLIES, STANDS]
+    assert told(state, 115.0, STANDS) is None

@@ -163,16 +163,24 @@ class VehicleView:
 
     @property
     def phase(self) -> FlightPhase | None:
-        """On the ground or in the air; None when nobody knows."""
-        status = self.get(FlightStatus)
+        """On the ground or in the air, as it may be believed; None when nobody knows."""
+        status = self.status
         return None if status is None else status.phase
+
+    @property
+    def status(self) -> FlightStatus | None:
+        """The one that is believed: one of standing is not, before it was told several times."""
+        if self.telemetry is None or self.get(FlightStatus) is None:
+            return None
+        return self.telemetry.believed_status
 
     @property
     def is_on_ground(self) -> bool | None:
         """Whether the motors stand; None when nobody knows, which counts as in the air."""
         known: bool | None = self._known.get("ground", _NOT_ASKED)
         if known is _NOT_ASKED:
-            status = self.get(FlightStatus)
+            is_new = self.get(FlightStatus) is not None  # a call less than by the property
+            status = self.telemetry.believed_status if is_new and self.telemetry else None
             known = None if status is None else status.status == FlightPhase.STANDBY
             self._known["ground"] = known
         return known
@@ -180,7 +188,7 @@ class VehicleView:
     @property
     def is_airborne(self) -> bool:
         """Whether it is seen to be off the ground: setpoints move it."""
-        status = self.get(FlightStatus)
+        status = self.status
         return status is not None and status.is_airborne
 
     @property

@@ -218,7 +218,7 @@ class _Show:
     def stopped(self, mission: WaypointFlight) -> str:
         """The end of a mission that this program left early, in words."""
         state = self._aircraft.state
-        status, position = state.flight_status, state.position
+        status, position = state.believed_status, state.position
         if self._has_begun and not mission.is_over:
             if self._is_finished and self._lands:
                 return "all waypoints are flown; the aircraft lands, as planned"
@@ -264,9 +264,9 @@ async def _require_airborne(aircraft: Aircraft) -> None:
     clock = asyncio.get_running_loop().time
     until = clock() + _STATUS_S
     # No status is an answer here, where wait_for would raise.
-    while aircraft.state.flight_status is None and clock() < until:  # noqa: ASYNC110
+    while aircraft.state.believed_status is None and clock() < until:  # noqa: ASYNC110
         await asyncio.sleep(0.05)
-    status = aircraft.state.flight_status
+    status = aircraft.state.believed_status
     if status is not None and status.status == FlightPhase.STANDBY:
         raise UsageError(
             "the aircraft stands on the ground",

@@ -32,6 +32,7 @@ from m100link.errors import (
     NotActivated,
     UsageError,
 )
+from m100link.flight.tasks import stands
 from m100link.link import Latency
 from m100link.link.requests import LONGEST_S
 from m100link.link.url import parse_url
@@ -45,8 +46,6 @@ from m100link.protocol.records import (
     Attitude,
     ControlDevice,
     Device,
-    FlightPhase,
-    FlightStatus,
     RcMode,
     RemoteControl,
 )
@@ -445,8 +444,7 @@ async def _authority(
 ) -> Finding:
     if credentials is None:
         return _not_asked("no app id and key were given")
-    status = aircraft.state.fresh(FlightStatus)
-    if status is None or status.phase is not FlightPhase.STANDBY:
+    if not await stands(aircraft.state):
         return _not_asked("it is not seen standing on the ground with its motors off")
     if not authority:
         return _not_asked("it was not to be tried", may_be=True)

@@ -20,6 +20,7 @@ from m100link.aircraft import Aircraft, connect
 from m100link.apps.doctor.diagnosis import TELEMETRY_S
 from m100link.errors import AuthorityRefused, LinkError, M100Error
 from m100link.flight.cancellation import SIGNALS, new_task, undisturbed
+from m100link.flight.tasks import stands
 from m100link.link import Direction, Tap
 from m100link.protocol.codes import AuthorityCode
 from m100link.protocol.commands.activation import RATES_HZ, Credentials
@@ -31,8 +32,6 @@ from m100link.protocol.records import (
     Acceleration,
     ControlDevice,
     Device,
-    FlightPhase,
-    FlightStatus,
     Position,
     RcMode,
     RemoteControl,
@@ -406,7 +405,7 @@ class _Meeting:
     async def _rc_lost(self) -> None:
         """The channels before and after the remote control is switched off, motors off."""
         topic = Topic.RC_LOST
-        if not self._stands():
+        if not await stands(self._aircraft.state):
             self._see(topic, "", "it is not seen standing with its motors off")
             return
         if not await self._asked(
@@ -439,10 +438,6 @@ class _Meeting:
 
     # -- control authority -----------------------------------------------------------------------
 
-    def _stands(self) -> bool:
-        status = self._aircraft.state.fresh(FlightStatus)
-        return status is not None and status.phase is FlightPhase.STANDBY
-
     async def _authority(self, credentials: Credentials | None) -> None:
         why = await self._obstacle(credentials)
         if why:
@@ -462,7 +457,7 @@ class _Meeting:
             return "no app id and key were given"
         if not self._aircraft._requests.knows_firmware:
             return "its firmware is unknown: nothing is asked of it"
-        if not self._stands():
+        if not await stands(self._aircraft.state):
             return "it is not seen standing with its motors off"
         if not await self._asked(
             "May I ask the aircraft for control authority, in P, A and F? Nothing moves, and I "
@@ -486,7 +481,7 @@ class _Meeting:
             shown = "not told" if rc is None else f"in {rc.mode_switch.name}"
             self._see(topic, "", f"the switch is {shown}")
             return
-        if not self._stands():
+        if not await stands(self._aircraft.state):
             self._see(topic, "", "it is not seen standing with its motors off")
             return
         codes: list[int] = []

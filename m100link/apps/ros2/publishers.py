@@ -234,7 +234,7 @@ class MessageMaker:
 
     def _flight_status(self) -> dict[str, Any]:
         view = self._agent.view
-        status, switch = view.get(records.FlightStatus), view.switch
+        status, switch = view.status, view.switch
         position, battery = view.get(records.Position), view.get(records.Battery)
         health = None if position is None else position.gps_health
         return {

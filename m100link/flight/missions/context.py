@@ -20,7 +20,7 @@ from m100link.flight.missions.events import (
     MissionProgress,
     Reached,
 )
-from m100link.flight.tasks import describe_situation, is_on_ground
+from m100link.flight.tasks import describe_situation, stands
 from m100link.geodesy import distance_m
 from m100link.missions.plan import AtEnd, WaypointPlan
 from m100link.protocol.codes import MissionCode
@@ -112,7 +112,7 @@ async def require_airborne(
     """
     await context.guards.admit_mission(what)
     state = context.commander.state
-    on_ground = is_on_ground(state)
+    on_ground = await stands(state)
     if on_ground is None:
         raise TelemetryStalled(
             f"{what} was asked for, and the flight status does not arrive",

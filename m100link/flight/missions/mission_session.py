@@ -43,7 +43,7 @@ from m100link.flight.missions.events import (
     Stopped,
     mission_refused,
 )
-from m100link.flight.tasks import Commander
+from m100link.flight.tasks import Commander, is_on_ground
 from m100link.protocol.codes import MissionCode
 from m100link.protocol.command import Request
 from m100link.protocol.commands.missions import MissionStatus, Uploaded, WaypointEvent
@@ -113,24 +113,6 @@ class MissionEnding:
             await asyncio.sleep(0.02)
 
 
-class Ground:
-    """Whether the aircraft stands, by more than one word."""
-
-    def __init__(self, commander: Commander) -> None:
-        self._commander = commander
-        self._first_at: float | None = None  # when the first of the words came that agree
-
-    def is_reported(self) -> bool:
-        """Whether the newest flight status says so, and one before it that was looked at."""
-        state = self._commander.state
-        status, at = known(state, FlightStatus), state.received_at(FlightStatus)
-        if status is None or at is None or status.status != FlightPhase.STANDBY:
-            self._first_at = None
-            return False
-        self._first_at = at if self._first_at is None else self._first_at
-        return at > self._first_at
-
-
 # -- run -------------------------------------------------------------------------------------------
 
 _START_S = 0.5  # for the ack of one transmission of a start
@@ -179,7 +161,6 @@ class MissionSession:
         self.started_at = -math.inf
         # When its end was reported, and whether pushes contradict.
         self.ending = MissionEnding(context.commander, kind)
-        self._ground = Ground(context.commander)
         self._pushed_at = 0.0  # when a push reported this mission last, or it was started
         self._is_pushed = False  # whether one ever did
         # Whether pushes showed its end during a stop, for the case that nobody answers the stop.
@@ -525,7 +506,7 @@ class MissionSession:
     def _look(self) -> None:
         """See the ground at the end; ``GuardRefused`` where a guard has something against it."""
         if self.state is RunState.RETURNING and not self.owes_a_stop:
-            if self._ground.is_reported():
+            if is_on_ground(self._context.commander.state):
                 self._end(RunInput.FINISHED)
         elif self.is_in_the_air and self.state not in (RunState.STOPPING, RunState.UNSTOPPED):
             self._context.guards.check_mission(self.name)

@@ -25,7 +25,7 @@ from m100link.apps.ros2.control import (
     toward,
 )
 from m100link.errors import BadSetpoint, UsageError
-from m100link.protocol.records import FlightPhase, FlightStatus
+from m100link.protocol.records import FlightPhase, FlightStatus, Velocity
 from m100link.protocol.setpoint import Setpoint
 from tests.apps.ros2.conftest import Program, Rig
 from tests.apps.ros2.test_actions import Client
@@ -415,14 +415,14 @@ async def test_a_cancel_after_stop_lets_nobody_fly_on(rig: Rig, client: Client) 
 @pytest.mark.parametrize(
     ("told", "is_kept"),
     [
-        ([FlightStatus(FlightPhase.STANDBY)], False),
+        ([FlightStatus(FlightPhase.STANDBY), Velocity(0.0, 0.0, 0.0, 7)], False),
         ([FlightStatus(FlightPhase.IN_AIR)], True),
         ([], True),  # nobody knows, which counts as the air
     ],
     ids=["ground", "air", "unknown"],
 )
 async def test_control_is_given_back_for_lack_of_orders_where_it_is_seen_to_stand(
-    told: list[FlightStatus], *, is_kept: bool
+    told: list[Any], *, is_kept: bool
 ) -> None:
     ours, its = memory_channels()
     agent = KnownAgent(its)

@@ -632,7 +632,10 @@ def test_without_control_the_gimbal_is_not_turned() -> None:
 
 def test_on_the_ground_nothing_is_flown() -> None:
     async def publish(rig: KnownRig) -> None:
-        rig.known.tell_package(rig.client.now, changed=(FlightStatus(1),))
+        for _ in range(4):
+            still = Velocity(0.0, 0.0, 0.0, 7)
+            rig.known.tell_package(rig.client.now, changed=(FlightStatus(1), still))
+            await anyio.sleep(0.25)
         rig.program.publish("~/cmd_vel", twist())
 
     assert asked(publish).known.asked(Steer) == []
