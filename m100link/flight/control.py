@@ -110,7 +110,10 @@ class Control:
             patience_s=patience_of(guardian),
         )
         self._guidance = Guidance(
-            commander.state, steer=self._steering.steer, hover=self._setpoints.hover
+            commander.state,
+            steer=self._steering.steer,
+            hover=self._setpoints.hover,
+            slack=lambda: commander.link.latency.slack_s,
         )
         self._loops = ClosedLoops(commander.state, self._guards, self._guidance)
         self._motors = Motors(commander, self._guards, self._make_way, self._block.armed)

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from m100link.errors import NotObserved, TelemetryStalled, UsageError
+from m100link.errors import NotObserved, SetpointsIgnored, TelemetryStalled, UsageError
 from m100link.flight.guards import known
 from m100link.flight.pacing import Ticker
 from m100link.flight.tasks import describe_situation, is_on_ground
+from m100link.flight.watchdog import apart_m
+from m100link.geodesy import normalize_degrees
 from m100link.protocol.records import Attitude, Position, Velocity
-from m100link.protocol.setpoint import Setpoint
+from m100link.protocol.setpoint import Horizontal, Setpoint
 from m100link.telemetry.state import STEER_S
 
 if TYPE_CHECKING:
@@ -126,6 +129,50 @@ class _Settling:
         return now - self._since >= _SETTLED_S
 
 
+_STILL_S = 6.0  # for so long nothing may move while more than this is missing
+_ASKED_M, _ASKED_UP_M, _ASKED_DEG = 1.0, 0.5, 6.0
+_MOVED_M, _MOVED_UP_M, _MOVED_DEG = 0.5, 0.3, 3.0  # more than sensors wander in that time
+
+
+_Pose = tuple[Position | None, Attitude | None]
+
+
+class _Stillness:
+    """Notices that the setpoints of a loop bring no movement, however small the demand is."""
+
+    def __init__(self, state: AircraftState) -> None:
+        self._state = state
+        self._since: float | None = None
+        self._from: _Pose = None, None
+
+    def is_too_long(
+        self, now: float, slack: float, setpoint: Setpoint, found: GuidanceProgress
+    ) -> bool:
+        is_asked = (
+            found.distance_m >= _ASKED_M
+            or abs(found.height_error_m) >= _ASKED_UP_M
+            or abs(found.heading_error_deg) >= _ASKED_DEG
+        )
+        here = known(self._state, Position), known(self._state, Attitude)
+        if self._since is None or not is_asked or _has_moved(self._from, here):
+            self._since, self._from = now, here
+        speed = math.hypot(setpoint.x, setpoint.y)
+        is_slow = setpoint.mode.horizontal is Horizontal.VELOCITY and speed > 0.0
+        # A slow flight needs its time for a metre.
+        return now - self._since >= slack + max(_STILL_S, _ASKED_M / speed if is_slow else 0.0)
+
+
+def _has_moved(before: _Pose, after: _Pose) -> bool:
+    (place, attitude), (new_place, new_attitude) = before, after
+    if place is not None and new_place is not None:
+        risen = abs(new_place.height_m - place.height_m)
+        if risen >= _MOVED_UP_M or apart_m(place, new_place) >= _MOVED_M:
+            return True
+    if attitude is None or new_attitude is None:
+        return place is None or new_place is None  # nobody knows
+    return abs(normalize_degrees(new_attitude.yaw_deg - attitude.yaw_deg)) >= _MOVED_DEG
+
+
 class Guidance:
     """Runs one closed loop at a time, over whatever takes setpoints."""
 
@@ -136,7 +183,10 @@ class Guidance:
         # Sends a setpoint until it expires or the next one comes.
         steer: Callable[[Setpoint], None],
         hover: Callable[[], Awaitable[None]],  # neutral for a moment, then silence
+        # Seconds by which an order shows later than by a cable.
+        slack: Callable[[], float] = float,
     ) -> None:
+        self._slack = slack
         self._state = state
         self._steer = steer
         self._hover = hover
@@ -198,7 +248,7 @@ class Guidance:
         """Send what ``step`` computes at each tick until its error settles within tolerance."""
         clock = asyncio.get_running_loop().time
         began_at = ticked_at = reading_until = clock()
-        settling = _Settling(self._state)
+        settling, stillness = _Settling(self._state), _Stillness(self._state)
         self.flying, self._task, self._is_interrupted = name, asyncio.current_task(), False
         try:
             async for _ in Ticker():
@@ -221,6 +271,9 @@ class Guidance:
                     break
                 if self._is_interrupted or elapsed > timeout or is_on_ground(self._state):
                     raise self._not_arrived(name, timeout, found)
+                if stillness.is_too_long(now, self._slack(), setpoint, found):
+                    left = self._left(found)
+                    raise SetpointsIgnored.usual(f"{name}: nothing moves by its setpoints; {left}")
                 self._steer(setpoint)
         finally:
             self.flying, self._task = "", None
@@ -228,7 +281,6 @@ class Guidance:
         return Arrival(elapsed, found.distance_m, found.height_error_m, found.heading_error_deg)
 
     def _not_arrived(self, name: str, timeout: float, found: GuidanceProgress) -> NotObserved:
-        situation = self._state.situation()
         end, cause = "was stopped", "stop() was called while it flew"
         if is_on_ground(self._state):
             end = "ended on the ground"
@@ -237,8 +289,13 @@ class Guidance:
             end = f"did not arrive within {timeout:g} s"
             cause = "wind, an envelope of the autopilot, or a mode that it ignores"
         return NotObserved(
-            f"{name} {end}; {found.distance_m:.1f} m, {found.height_error_m:+.1f} m of height and "
-            f"{found.heading_error_deg:+.0f}° remain ({describe_situation(situation)})",
-            situation=situation,
-            cause=cause,
+            f"{name} {end}; {self._left(found)}", situation=self._state.situation(), cause=cause
+        )
+
+    def _left(self, found: GuidanceProgress) -> str:
+        """What remains, for people."""
+        situation = describe_situation(self._state.situation())
+        return (
+            f"{found.distance_m:.1f} m, {found.height_error_m:+.1f} m of height and "
+            f"{found.heading_error_deg:+.0f}° remain ({situation})"
         )

@@ -230,6 +230,7 @@ class ClosedLoops:
         Raises:
             NotObserved: It did not arrive in time and hovers where it is, or it was stopped or
                 landed.
+            SetpointsIgnored: For 6 s nothing moved, and it hovers.
             TelemetryStalled: Position or attitude do not arrive.
             GuardRefused: The target lies outside the envelope, or as :meth:`Control.send`.
             UsageError: The target is none, the aircraft stands on the ground, or another closed

@@ -71,6 +71,7 @@ _LEAST_TURN_DEG_S = 10.0
 _LEAST_TILT_DEG = 5.0
 _LEAST_OFFSET_M = 3.0
 _OFFSET_M_S = 1.5  # an autopilot flies a larger offset at least as fast
+_OFFSET_UP_M_S = 1.0  # and one of height
 _FAST_OFFSET_M_S = 5.0  # and at most as fast as that
 _FOLLOWS = 0.25  # the share of a demand that counts as followed: the rest is wind
 _BEGINS = 0.25  # and the share of the missing rest that shows that it is on its way
@@ -229,7 +230,7 @@ class FollowCheck:
         if place is None:
             self._unseen, self._place = _NOWHERE, None
             return ""
-        if self._place is None or _apart_m(self._place, place) > _STILL_M:
+        if self._place is None or apart_m(self._place, place) > _STILL_M:
             self._place, self._unseen = place, _NOWHERE
             return ""
         passed = min(passed, STEER_S)
@@ -255,19 +256,25 @@ class FollowCheck:
     # -- climbing and turning --------------------------------------------------------------------
 
     def _look_at_climb(self, now: float, setpoint: Setpoint, velocity: Velocity | None) -> str:
-        wanted, climb, seen = setpoint.z, 0.0, None
-        if (
-            velocity is not None
-            and setpoint.mode.vertical is Vertical.VELOCITY
-            and abs(wanted) >= _LEAST_CLIMB_M_S
-            and (wanted > 0.0 or self._is_high())
-        ):
+        wanted, climb, seen = self._wanted_climb(setpoint), 0.0, None
+        is_asked = abs(wanted) >= _LEAST_CLIMB_M_S and (wanted > 0.0 or self._is_high())
+        if velocity is not None and is_asked:
             climb = abs(velocity.up_m_s)  # the sources do not settle its sign
             seen = climb if climb < _FOLLOWS * abs(wanted) else None
         needed = _BEGINS * (abs(wanted) - climb)
         if not self._climb.is_over(now, seen, needed, (wanted, 0.0)):
             return ""
         return f"a climb of {wanted:.1f} m/s is asked for, and {climb:.1f} m/s flown"
+
+    def _wanted_climb(self, setpoint: Setpoint) -> float:
+        """The least climb asked for, m/s."""
+        if setpoint.mode.vertical is Vertical.VELOCITY:
+            return setpoint.z
+        position = known(self._state, Position)
+        if setpoint.mode.vertical is not Vertical.HEIGHT or position is None:
+            return 0.0
+        missing = setpoint.z - position.height_m
+        return 0.0 if abs(missing) < _LEAST_OFFSET_M else math.copysign(_OFFSET_UP_M_S, missing)
 
     def _is_high(self) -> bool:
         position = known(self._state, Position)
@@ -295,7 +302,8 @@ class FollowCheck:
         return "a turn is asked for, and the heading stays"
 
 
-def _apart_m(one: Position, other: Position) -> float:
+def apart_m(one: Position, other: Position) -> float:
+    """Horizontal distance, m."""
     north = one.latitude_rad - other.latitude_rad
     east = math.remainder(one.longitude_rad - other.longitude_rad, 2 * math.pi)
     return math.hypot(north, east * math.cos(one.latitude_rad)) * 6_378_137.0

@@ -26,6 +26,7 @@ from m100link import (
     NotObserved,
     Position,
     Setpoint,
+    SetpointsIgnored,
     TelemetryStalled,
     UsageError,
 )
@@ -35,7 +36,7 @@ from m100link.geodesy import LocalFrame
 from m100link.missions.patterns import survey
 from m100link.protocol import PROFILES, encode_telemetry
 from m100link.protocol.commands.control import Move
-from m100link.sim import AircraftSettings
+from m100link.sim import AircraftSettings, LineFaults
 from m100link.telemetry.sample import Sample
 from m100link.telemetry.state import AircraftState
 from tests.rig import FIRMWARES, Rig, rig
@@ -680,3 +681,47 @@ def test_the_greatest_speed_is_a_setpoint_in_every_direction(bearing_deg: int) -
         remaining = far * math.cos(bearing), far * math.sin(bearing)
         made = _towards(remaining, chance.choice((far, math.hypot(*remaining))), 10.0, 0.0, 10.0)
         assert made.mode is not None
+
+
+SMALL_DEMANDS: dict[str, Callable[[Control], Awaitable[object]]] = {
+    "climb": lambda control: control.climb_to(2.5),
+    "climb far": lambda control: control.climb_to(30.0),
+    "descent": lambda control: control.climb_to(0.5),
+    "turn": lambda control: control.turn_to(15.0),
+    "way": lambda control: control.fly_to(north=2.0, east=0.0, up=0.0),
+    "slow way": lambda control: control.fly_to(north=5.0, east=0.0, up=0.0, speed=0.5),
+    "path": lambda control: control.fly_path([(5.0, 0.0, 1.2), (5.0, 5.0, 1.2)], speed=0.5),
+    "orbit": lambda control: control.orbit(center_north=5.0, center_east=0.0, speed=0.5),
+}
+
+
+@pytest.mark.parametrize("what", SMALL_DEMANDS)
+async def test_a_loop_whose_setpoints_move_nothing_says_so_early(what: str) -> None:
+    async with rig() as flown:
+        with pytest.raises(SetpointsIgnored) as caught:
+            async with flown.aircraft.control() as control:
+                await control.take_off()
+                flown.virtual.set_faults(LineFaults(deaf=True))
+                began_at = flown.now
+                try:
+                    await SMALL_DEMANDS[what](control)
+                finally:
+                    took = flown.now - began_at
+        assert took < 8.0
+        assert "TX of the cable" in caught.value.remedy
+        assert flown.virtual.height == pytest.approx(1.2, abs=0.2)
+
+
+@pytest.mark.parametrize("what", SMALL_DEMANDS)
+async def test_the_same_loops_arrive_through_noise_and_gusts(what: str) -> None:
+    settings = AircraftSettings(wind_north=4.0, gusts=1.0, noise=1.0)
+    async with rig(settings=settings) as flown, flown.aircraft.control() as control:
+        await control.take_off()
+        await SMALL_DEMANDS[what](control)
+
+
+async def test_a_flight_of_10_cm_a_second_takes_its_time() -> None:
+    async with rig() as flown, flown.aircraft.control() as control:
+        await control.take_off()
+        await control.fly_to(north=2.0, east=0.0, up=0.0, speed=0.1)
+        assert flown.virtual.position[0] == pytest.approx(2.0, abs=0.6)
