@@ -54,15 +54,19 @@ class Control(Handed):
             SIGNALS.join(self)
         try:
             self._portal.wait(lambda _: self._aio.obtain())
-        except Exception:
+            return self
+        except BaseException:
+            self.interrupt()  # it may be obtained all the same, and nobody is to leave it
             SIGNALS.leave(self)
             raise
-        return self
 
     @like(aio.Control.release)
     def release(self) -> None:
         try:
             self._portal.wait(lambda _: self._aio.release())
+        except BaseException:
+            self.interrupt()  # a signal may raise before it was asked for
+            raise
         finally:
             SIGNALS.leave(self)
 

@@ -10,11 +10,11 @@ import queue
 import re
 import threading
 from collections.abc import Callable, Coroutine
-from concurrent.futures import Future
+from contextlib import suppress
 from functools import partial, update_wrapper
 from typing import Any, Concatenate, Generic, ParamSpec, Self, TypeVar, get_type_hints, overload
 
-from m100link.errors import LinkClosed, UsageError
+from m100link.errors import LinkClosed, M100Error, UsageError
 from m100link.sim.clock import LockstepEventLoop
 
 P = ParamSpec("P")
@@ -30,9 +30,12 @@ class Caller:
     The clock stands still while nobody waits; without one time passes by itself.
     """
 
-    def __init__(self, clock: LockstepEventLoop | None) -> None:
+    def __init__(self, clock: LockstepEventLoop | None = None) -> None:
         self._clock = clock
-        self._inbox: queue.SimpleQueue[Callable[[], object] | None] = queue.SimpleQueue()
+        # Callbacks, then error and value. Both threads touch nothing else: a lock that is written
+        # in Python, as a Future has one, stays locked when a signal raises in the thread that just
+        # took it, and the event loop would wait for it.
+        self._inbox: queue.SimpleQueue[Any] = queue.SimpleQueue()
 
     def begin_waiting(self) -> None:
         """The aircraft's time passes."""
@@ -71,27 +74,35 @@ class Caller:
         finally:
             self.begin_waiting()
 
-    def serve(self, ended: Future[Any]) -> None:
-        """Run callbacks until the call has ended. Raises what a callback raises."""
-        ended.add_done_callback(lambda _: self._inbox.put(None))
-        while (callback := self._inbox.get()) is not None:
-            callback()
+    def end(self, error: BaseException | None, value: object = None) -> None:
+        """The call has ended; of several ends the first one counts."""
+        self._inbox.put((error, value))
+
+    def serve(self) -> Any:
+        """Run callbacks until the call has ended. Returns or raises its end, or raises theirs."""
+        while callable(said := self._inbox.get()):
+            said()
+        error, value = said
+        try:
+            if error is not None:
+                raise error
+            return value
+        finally:
+            del error, said  # the traceback would hold this frame, which holds the error
 
 
-def _live(
-    loop_factory: Callable[[], asyncio.AbstractEventLoop] | None,
-    begun: Future[asyncio.AbstractEventLoop],
-) -> None:
+def _live(loop_factory: Callable[[], asyncio.AbstractEventLoop] | None, begun: Caller) -> None:
     """Run an event loop until it is stopped, then end what is left in it."""
+    loop = None
     try:
         with asyncio.Runner(loop_factory=loop_factory) as runner:
             loop = runner.get_loop()
-            loop.call_soon(begun.set_result, loop)
+            loop.call_soon(begun.end, None, loop)
             loop.run_forever()
     except BaseException as error:
-        if begun.done():
+        if loop is not None:
             raise
-        begun.set_exception(error)
+        begun.end(error)
 
 
 def _closed() -> LinkClosed:
@@ -107,18 +118,19 @@ class Portal:
     """
 
     def __init__(self, loop_factory: Callable[[], asyncio.AbstractEventLoop] | None = None) -> None:
-        begun: Future[asyncio.AbstractEventLoop] = Future()
+        begun = Caller()
         # No generator and no context manager waits for its end here: in the child of a fork, which
         # has no such thread, it would wait for ever.
         self._thread = threading.Thread(
             target=_live, args=(loop_factory, begun), name="m100link: aircraft", daemon=True
         )
         self._thread.start()
-        self._loop = begun.result()
+        self._loop: asyncio.AbstractEventLoop = begun.serve()
         # Whose clock passes only while somebody waits; None: it does not ask.
         self._lockstep = self._loop if isinstance(self._loop, LockstepEventLoop) else None
         self._process = os.getpid()  # the child of a fork has no such thread
-        self._unanswered: set[Future[Any]] = set()  # what threads wait for
+        self._waiting: set[Caller] = set()  # for an end
+        self._tasks: list[asyncio.Task[None]] = []  # of :meth:`soon_await`
         self.is_open = True  # whether calls are taken
 
     def soon(self, function: Callable[[], object]) -> None:
@@ -133,32 +145,40 @@ class Portal:
             if not self._loop.is_closed():  # by another thread: `close` answers who waits
                 raise
 
+    def soon_await(self, make: Callable[[], Coroutine[Any, Any, object]]) -> None:
+        """As :meth:`soon`, where the function waits; its error ends there."""
+
+        async def carry_out() -> None:
+            with suppress(M100Error):
+                await make()
+
+        self.soon(lambda: self._tasks.append(self._loop.create_task(carry_out())))
+
     def call(self, function: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
         """Call what does not wait in the event loop, and return what it returns.
 
         Raises:
             UsageError: The aircraft was closed, or this runs in its thread.
         """
-        done: Future[T] = self._awaited()
+        caller = Caller()
 
         def run() -> None:
             try:
-                done.set_result(function(*args, **kwargs))
+                caller.end(None, function(*args, **kwargs))
             except BaseException as error:  # noqa: BLE001 (it belongs to the caller)
-                done.set_exception(error)
+                caller.end(error)
 
-        self._schedule(run)
-        return done.result()
+        answer: T = self._answer_of(caller, run)
+        return answer
 
     def wait(self, make: Callable[[Caller], Coroutine[Any, Any, T]]) -> T:
-        """Await what ``make`` makes in the event loop. Ctrl-C cancels it.
+        """Await what ``make`` makes in the event loop. An exception in this thread cancels it.
 
         Raises:
             UsageError: The aircraft was closed, or this runs in its thread.
             LinkClosed: Another thread closed it meanwhile.
         """
         caller = Caller(self._lockstep)
-        done: Future[T] = self._awaited()
         tasks: list[asyncio.Task[None]] = []  # kept: an event loop holds its tasks weakly
 
         async def carry_out() -> None:
@@ -168,31 +188,31 @@ class Portal:
             except BaseException as error:  # noqa: BLE001 (it belongs to the caller)
                 caller.end_waiting()
                 is_end = isinstance(error, asyncio.CancelledError) and not self.is_open
-                done.set_exception(_closed() if is_end else error)
+                caller.end(_closed() if is_end else error)
             else:
                 caller.end_waiting()
-                done.set_result(result)
+                caller.end(None, result)
 
-        self._schedule(lambda: tasks.append(self._loop.create_task(carry_out())))
         try:
-            caller.serve(done)
+            answer: T = self._answer_of(
+                caller, lambda: tasks.append(self._loop.create_task(carry_out()))
+            )
+            return answer
         except BaseException:
+            # It may have begun, wherever a signal raised: nobody waits for it any more.
             self.soon(lambda: [task.cancel() for task in tasks])
             raise
-        return done.result()
 
-    def _awaited(self) -> Future[Any]:
-        """A future for a thread to wait for: an answer sets it, or the end of the portal does."""
-        done: Future[Any] = Future()
+    def _answer_of(self, caller: Caller, function: Callable[[], object]) -> Any:
+        """Call it in the event loop, and return the end that it leads to, or that of the portal."""
         # Before it is asked whether this is open: who closes looks for what waits afterwards.
-        self._unanswered.add(done)
-        done.add_done_callback(self._unanswered.discard)
+        self._waiting.add(caller)
         try:
             self._require_open()
-            return done
-        except UsageError:
-            self._unanswered.discard(done)
-            raise
+            self._schedule(function)
+            return caller.serve()
+        finally:
+            self._waiting.discard(caller)
 
     def _require_open(self) -> None:
         if not self.is_open:
@@ -214,9 +234,8 @@ class Portal:
         if self._process == os.getpid() and self._thread.is_alive():
             self._schedule(self._loop.stop)
             self._thread.join()
-        for done in list(self._unanswered):
-            if not done.done():
-                done.set_exception(_closed())
+        for caller in list(self._waiting):
+            caller.end(_closed())
 
     def close_after(
         self, close: Callable[[], Coroutine[Any, Any, None]], on_end: Callable[[], None]

@@ -129,7 +129,7 @@ class _Block(Generic[T]):
     ) -> None:
         self._portal = portal
         self._make = make
-        self._holding: AbstractAsyncContextManager[T]
+        self._holding: AbstractAsyncContextManager[T] | None = None  # entered, and not left
         self._entered: T | None = None
 
     def __repr__(self) -> str:
@@ -143,11 +143,16 @@ class _Block(Generic[T]):
 
     def __enter__(self) -> Self:
         async def enter(caller: Caller) -> None:
-            self._holding = self._make(caller)
-            self._entered = await self._holding.__aenter__()
+            holding = self._make(caller)
+            self._entered = await holding.__aenter__()
+            self._holding = holding
 
-        self._portal.wait(enter)
-        return self
+        try:
+            self._portal.wait(enter)
+            return self
+        except BaseException:
+            self._portal.soon_await(self._leave)  # entered all the same, nobody is to leave it
+            raise
 
     def __exit__(
         self,
@@ -155,7 +160,16 @@ class _Block(Generic[T]):
         exc: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        self._portal.wait(lambda _: self._holding.__aexit__(exc_type, exc, traceback))
+        try:
+            self._portal.wait(lambda _: self._leave(exc_type, exc, traceback))
+        except BaseException:
+            self._portal.soon_await(self._leave)  # a signal may raise before it was asked for
+            raise
+
+    async def _leave(self, *error: Any) -> None:
+        holding, self._holding = self._holding, None
+        if holding is not None:
+            await holding.__aexit__(*error or (None, None, None))
 
 
 class Hold(_Block[setpoints.Hold]):

@@ -14,8 +14,8 @@ from m100link.sync.portal import Portal
 
 
 @pytest.fixture
-def connect(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[], sync.Aircraft]]:
+def connect(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., sync.Aircraft]]:
     """Connects to a virtual aircraft."""
     monkeypatch.setattr(module, "Portal", lambda _: Portal(LockstepEventLoop))
     with ExitStack() as opened:
-        yield lambda: opened.enter_context(sync.connect("sim://"))
+        yield lambda line="sim://": opened.enter_context(sync.connect(line))

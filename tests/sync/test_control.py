@@ -2,8 +2,15 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable
+from contextlib import suppress
+from itertools import count
+from pathlib import Path
+from random import Random
+from types import FrameType
+from typing import Any
 
 import pytest
 
@@ -11,20 +18,25 @@ from m100link import (
     AuthorityLost,
     AuthorityState,
     Credentials,
+    Envelope,
+    Guards,
     NoAuthority,
     Setpoint,
     TaskProgress,
+    TelemetryStalled,
+    Waypoint,
+    WaypointPlan,
     sync,
 )
 from m100link.flight.authority import AuthorityInput
 
-Connect = Callable[[], sync.Aircraft]
+Connect = Callable[..., sync.Aircraft]
 
 NORTH = Setpoint.velocity(north=2.0, east=0.0, up=0.0, yaw_rate_deg_s=0.0)
 
 
-def activated(connect: Connect) -> sync.Aircraft:
-    aircraft = connect()
+def activated(connect: Connect, line: str = "sim://") -> sync.Aircraft:
+    aircraft = connect(line)
     aircraft.activate(Credentials(app_id=10086, key=bytes(range(32))))
     return aircraft
 
@@ -139,3 +151,97 @@ def test_control_by_hand_at_a_prompt(connect: Connect) -> None:
     control.release()
     control.release()
     assert aircraft.authority.state is AuthorityState.NONE
+
+
+# -- a signal handler of the program raises, wherever this thread is -------------------------------
+
+
+class Alarm(Exception):
+    """What the handler raises, as many do by ``signal.alarm``."""
+
+
+class AlarmAt:
+    """Raises at one line that the thread runs in ``m100link.sync``, as a signal handler may."""
+
+    def __init__(self, number: int) -> None:
+        self.left = number
+        self.called: set[tuple[str, str]] = set()  # file and function
+
+    def __enter__(self) -> AlarmAt:
+        self.before = sys.gettrace()
+        sys.settrace(self._called)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        sys.settrace(self.before)
+
+    def _called(self, frame: FrameType, event: str, arg: object) -> Any:
+        file, name = Path(frame.f_code.co_filename), frame.f_code.co_name
+        self.called.add((file.name, name))
+        # Python itself looks for signals before the first line of an `__exit__`: there nobody helps
+        # but the block around it.
+        is_ours = file.parent == Path(sync.__file__).parent
+        return self._ran if is_ours and name != "__exit__" else None
+
+    def _ran(self, frame: FrameType, event: str, arg: object) -> Any:
+        self.left -= event == "line"
+        if not self.left:
+            self.left = -1
+            raise Alarm
+        return self._ran
+
+
+def fly_far(control: sync.Control) -> None:
+    control.fly_to(north=20.0, east=0.0, up=0.0)
+
+
+def fly_a_mission(control: sync.Control) -> None:
+    place = control.state.position
+    assert place is not None
+    north = [place.latitude_deg + metres / 111_000.0 for metres in (20.0, 90.0)]
+    points = [Waypoint(one, place.longitude_deg, height=10.0) for one in north]
+    with control.waypoint_mission(WaypointPlan(points, speed=3.0)) as mission:
+        next(mission)
+        raise Alarm
+
+
+@pytest.mark.parametrize(
+    ("fly", "line", "step"),
+    [(fly_far, "sim://", 1), (fly_a_mission, "sim://?firmware=3.1", 5)],
+    ids=["flight", "mission"],
+)
+def test_wherever_a_handler_of_a_signal_raises_nothing_flies_on(
+    fly: Callable[[sync.Control], None], line: str, step: int, connect: Connect
+) -> None:
+    """Or the program would hear that its call was broken off, and the aircraft carries it out."""
+    first = Random(31).randint(1, step)
+    aircraft = activated(connect, line)
+    far = Guards(envelope=Envelope(max_radius_m=10_000.0))
+    control = aircraft.control(handle_signals=False, guards=far).obtain()
+    control.take_off()
+    for number in count(first, step):
+        with AlarmAt(number) as alarm, suppress(Alarm):
+            fly(control)
+            raise Alarm
+        with pytest.raises(TelemetryStalled):
+            aircraft.wait_for(lambda _: False, timeout=1.5)
+        velocity = aircraft.state.velocity
+        assert velocity is not None
+        assert abs(velocity.north_m_s) < 0.3, (number, velocity)
+        assert not aircraft.mission.is_running, number
+        if alarm.left > 0:
+            break
+    assert number > 20
+    control.release()
+
+
+def test_no_lock_written_in_python_is_taken_by_the_thread_that_waits(connect: Connect) -> None:
+    """One stays locked when a signal raises behind its taking: the event loop would hang, too."""
+    aircraft = activated(connect)
+    with aircraft.control() as control:
+        with AlarmAt(-1) as alarm:
+            control.send(NORTH.neutral())
+            control.take_off()
+    assert ("portal.py", "wait") in alarm.called
+    locks = {name for file, name in alarm.called if file in ("threading.py", "_base.py")}
+    assert locks <= {"current_thread"}
