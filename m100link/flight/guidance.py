@@ -293,7 +293,7 @@ class Guidance:
         )
 
     def _left(self, found: GuidanceProgress) -> str:
-        """What remains, for people."""
+        """The rest of the way, for people."""
         situation = describe_situation(self._state.situation())
         return (
             f"{found.distance_m:.1f} m, {found.height_error_m:+.1f} m of height and "

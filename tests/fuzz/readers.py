@@ -52,6 +52,7 @@ _REASONS: dict[str, tuple[str, ...]] = {
         "apps/station/console/view/texts.py translations",
         "apps/station/ros/messages.py message_type",
         "apps/station/ros/messages.py types_of",
+        "log/cdr.py _read_types",
         "apps/cli/manual.py _Page.text",
         "apps/cli/manual.py _pages",
         "apps/cli/manual.py _unfenced",

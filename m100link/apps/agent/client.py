@@ -169,7 +169,7 @@ class VehicleView:
 
     @property
     def status(self) -> FlightStatus | None:
-        """The one that is believed: one of standing is not, before it was told several times."""
+        """The one that is believed: standing counts after several statuses in a row."""
         if self.telemetry is None or self.get(FlightStatus) is None:
             return None
         return self.telemetry.believed_status

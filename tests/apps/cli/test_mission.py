@@ -21,7 +21,6 @@ from m100link.sim.vehicle.settings import AircraftSettings
 from tests.apps.cli.conftest import ROOT, CommandLine, Simulator, process
 from tests.waiting import PATIENCE, blocking_until
 
-
 HOME = AircraftSettings()
 SPOTS = ((0.0, 0.0), (4.0, 0.0))
 
