@@ -251,13 +251,9 @@ async def test_the_process_of_the_fronts_of_one_aircraft(
     assert ("orders" in noted.names) is (sim and with_console)
 
 
-@pytest.mark.parametrize("with_console", [False, True])
-async def test_the_processes_of_several_aircraft(
-    noted: Noted,
-    children: list[Child],
-    monkeypatch: pytest.MonkeyPatch,
-    with_console: bool,
-) -> None:
+@pytest.fixture
+def clients(monkeypatch: pytest.MonkeyPatch) -> tuple[list[Any], list[tuple[str, str, str]]]:
+    """Stand-ins for the station's clients of its agents, and the notes they are given."""
     clients: list[Any] = []
     told: list[tuple[str, str, str]] = []
 
@@ -281,6 +277,17 @@ async def test_the_processes_of_several_aircraft(
 
     monkeypatch.setattr(run, "AgentClient", Client)
     monkeypatch.setattr(transports, "connect_unix", connect_unix)
+    return clients, told
+
+
+@pytest.mark.parametrize("with_console", [False, True])
+async def test_the_processes_of_several_aircraft(
+    noted: Noted,
+    children: list[Child],
+    clients: tuple[list[Any], list[tuple[str, str, str]]],
+    with_console: bool,
+) -> None:
+    agents_of, told = clients
     aircraft = {"left": Settings(sim=True, port=1), "right": Settings(url=URL)}
 
     def tell(name: str, event: Any) -> None:
@@ -304,16 +311,16 @@ async def test_the_processes_of_several_aircraft(
         assert agents == {"left": "agent0.sock", "right": "agent1.sock"}
         orders = {name: Path(at).name for name, at in front.request["orders"].items()}
         assert orders == ({"left": "orders0.sock"} if with_console else {})
-        assert [(c.channel, c.called) for c in clients] == [
+        assert [(c.channel, c.called) for c in agents_of] == [
             ("agent0.sock", "the station"),
             ("agent1.sock", "the station"),
         ]
         held = [one.has_authority]
-        clients[1].has_authority = True
+        agents_of[1].has_authority = True
         assert [*held, one.has_authority] == [False, True]
         # An agent keeps what happens to its process; without it the station tells.
         right.note("ended", "error")
-        clients[1].is_gone = True
+        agents_of[1].is_gone = True
         right.note("ended", "error")
         front.note("serving again", "info")
         assert told == [
