@@ -245,6 +245,8 @@ def run() -> None:
             status = _status_of(sys.argv[1:])
     except ReaderGone:
         status = ExitCode.OK
+    except M100Error as error:  # the last of the output found no place
+        status = complain(error)
     sys.exit(status)
 
 

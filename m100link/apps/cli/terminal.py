@@ -2,7 +2,8 @@
 
 :func:`speak_to_anybody` puts :class:`_Told` around both streams before a verb runs. ASCII replaces
 a sign that a stream cannot encode (:func:`_in_ascii`). A write to a closed standard output raises
-:class:`ReaderGone`, so that no verb mistakes it for a broken line to an aircraft.
+:class:`ReaderGone`, so that no verb mistakes it for a broken line to an aircraft. Standard error
+raises nothing: its reader, its disk or its terminal is no reason to end or to refuse a landing.
 """
 
 from __future__ import annotations
@@ -87,13 +88,20 @@ class _Reported:
     def _watched(self) -> Iterator[None]:
         try:
             yield
-        except BrokenPipeError as error:
+        except OSError as error:
             # The rest of the buffer would fail once more when the interpreter ends.
             nowhere = os.open(os.devnull, os.O_WRONLY)
             os.dup2(nowhere, self._stream.fileno())
             os.close(nowhere)
-            if self._raises:
+            if not self._raises:
+                return
+            if isinstance(error, BrokenPipeError):
                 raise ReaderGone(*error.args) from None
+            raise errors.M100Error(
+                f"standard output takes no more: {error.strerror}",
+                cause="the disk is full, or the terminal is gone",
+                remedy="look at the aircraft if the command moves it; the rest was not written",
+            ) from error
 
 
 @contextlib.contextmanager
@@ -101,9 +109,12 @@ def speak_to_anybody() -> Iterator[None]:
     """While the block runs, output fits its terminal, and a closed pipe has its own error.
 
     Raises:
-        ReaderGone: From any write to standard output. Standard error passes it over: a flight does
-            not end because nobody hears its talk.
+        ReaderGone, M100Error: From any write to standard output: nobody reads it; its disk is full.
+            Standard error passes these over: a flight does not end because nobody hears its talk.
     """
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:  # closed, as ``2>&-`` does: nothing else is to get its place
+            setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_RDWR), mode))  # for good
     before = sys.stdout, sys.stderr
     for stream in before:
         if isinstance(stream, io.TextIOWrapper):

@@ -14,6 +14,7 @@ import struct
 import subprocess
 import sys
 import threading
+from pathlib import Path
 
 import pytest
 
@@ -32,6 +33,8 @@ from tests.apps.cli.conftest import ROOT, CommandLine, Simulator
 from tests.apps.cli.terminal import terminal
 from tests.test_house import MODULES, programs, tree
 from tests.waiting import PATIENCE
+
+FRAME = "aa230000000000000400757f0103480000803f000000000000003f0000204163c2ab89"
 
 ASCII = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONIOENCODING": "ascii"}
 
@@ -102,6 +105,61 @@ def test_data_that_nobody_reads_end_a_command_and_talk_does_not(
     assert (sys.stdout, sys.stderr) == (out, err)
     out.close()  # does not raise: what was left went nowhere
     err.close()
+
+
+def _full_disk() -> io.TextIOWrapper:
+    return Path("/dev/full").open("w", encoding="ascii")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="only Linux has a full disk to write to")
+def test_a_full_disk_keeps_no_talk_from_going_on_and_is_told_of_data(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A landing first says which mission it stopped: it is ordered all the same."""
+    out, err = _full_disk(), _full_disk()
+    monkeypatch.setattr(sys, "stdout", out)
+    monkeypatch.setattr(sys, "stderr", err)
+    with speak_to_anybody():
+        for word in ("stopped: waypoint mission\n", "landing\n"):
+            sys.stderr.write(word)
+            sys.stderr.flush()
+        sys.stdout.write("data")
+        with pytest.raises(errors.M100Error, match="No space left"):
+            sys.stdout.flush()
+    out.close()
+    err.close()
+
+
+@pytest.mark.parametrize("closed", [">&-", "<&- >&- 2>&-"])
+def test_streams_that_were_closed_before_it_began_end_no_command(closed: str) -> None:
+    """As a service or a script may start it: a landing was not ordered, and nobody was told."""
+    command = f'exec "$0" -m m100link decode --table {FRAME} {closed}'
+    done = subprocess.run(
+        ["sh", "-c", command, sys.executable],
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+        timeout=PATIENCE,
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_what_is_opened_next_gets_the_number_of_no_closed_stream() -> None:
+    """A port that has the number of standard error would be sent what Python says there."""
+    program = (
+        "from m100link.apps.cli.terminal import speak_to_anybody\n"
+        "import os\n"
+        "with speak_to_anybody():\n"
+        "    os._exit(os.open(os.devnull, os.O_RDONLY))\n"
+    )
+    done = subprocess.run(
+        ["sh", "-c", 'exec "$0" -c "$1" <&- >&- 2>&-', sys.executable, program],
+        cwd=ROOT,
+        timeout=PATIENCE,
+        check=False,
+    )
+    assert done.returncode > 2
 
 
 # -- few characters -----------------------------------------------------------------------------
