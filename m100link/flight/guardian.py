@@ -259,6 +259,11 @@ class Guardian(Generic[W]):
             with other:
                 self._socket.setblocking(False)
                 passed = descriptor, other.fileno(), shared
+                if min(passed) <= 2:  # in the guardian these are /dev/null
+                    raise OSError(
+                        "standard input, output or error was closed, and the line or the guardian "
+                        "has its number: open /dev/null in its place"
+                    )
                 # -I and -S: neither variables nor packages of the program can break it. A session
                 # of its own: Ctrl-C and a closed terminal are for the program alone.
                 self._process = subprocess.Popen(

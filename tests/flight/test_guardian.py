@@ -717,3 +717,16 @@ def test_one_that_says_another_word_did_not_start(monkeypatch: pytest.MonkeyPatc
         with pytest.raises(GuardianFailed, match="ended at once"):
             asyncio.run(there.guardian.start())
         assert (there.killed, there.gate) == (1, None)
+
+
+@pytest.mark.parametrize("descriptor", [0, 1, 2])
+def test_a_line_in_the_place_of_a_closed_stream_has_no_guardian_that_could_write_to_it(
+    monkeypatch: pytest.MonkeyPatch, descriptor: int
+) -> None:
+    there = Program(monkeypatch)
+    there.descriptor = descriptor
+    monkeypatch.setattr(there.guardian, "_spawn", Guardian._spawn.__get__(there.guardian))
+    monkeypatch.setattr(subprocess, "Popen", None)
+    with pytest.raises(GuardianFailed, match="standard input, output or error was closed"):
+        asyncio.run(there.guardian.start())
+    assert there.gate is None
