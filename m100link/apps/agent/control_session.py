@@ -19,7 +19,7 @@ from typing import Any
 
 from m100link import errors
 from m100link.apps.agent import orders
-from m100link.apps.agent.background import ignore
+from m100link.apps.agent.background import goes_on, ignore
 from m100link.apps.agent.client import AgentClient, Hearing
 from m100link.apps.agent.lease import Lease, LeaseHeld, LeaseRefused, TakeOver
 from m100link.apps.agent.messages import Event, EventTopic, LeaseChanged, OrderOutcome
@@ -481,7 +481,8 @@ class ControlSession:
     async def keep(self) -> None:
         """Call :meth:`heard` twice a second until it is cancelled; nobody looks at the operator."""
         while self._heard:  # until the session is closed, too
-            self.heard()
+            with goes_on("the renewal of a lease"):  # it is that of a landing, maybe
+                self.heard()
             await asyncio.sleep(RENEWAL_S)
 
     @asynccontextmanager

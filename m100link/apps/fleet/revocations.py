@@ -17,7 +17,7 @@ from typing import Any
 
 from cryptography import x509
 
-from m100link.apps.agent.background import TaskSet
+from m100link.apps.agent.background import TaskSet, goes_on
 from m100link.apps.agent.messages import MessageError
 from m100link.apps.bus.network import Bus, Question
 from m100link.apps.fleet.asking import believed, nobody_there
@@ -206,10 +206,11 @@ class RevocationService:
             stack.callback(self._revocations.on_change.remove, self._changed)
             while True:
                 await asyncio.sleep(_LOOK_S)
-                try:
-                    await self._revocations.look()
-                except M100Error as error:
-                    self._note(f"{LIST}: {error.seen}", "error")
+                with goes_on("the look at the list of revoked names"):
+                    try:
+                        await self._revocations.look()
+                    except M100Error as error:
+                        self._note(f"{LIST}: {error.seen}", "error")
 
     def _changed(self) -> None:
         for shut_out in self._shut_out:

@@ -27,6 +27,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
 
+from m100link.apps.agent.background import goes_on
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.transports import Channel
 from m100link.apps.station.config import Settings
@@ -309,5 +310,5 @@ async def keep_reached(agent: AgentClient, reach: Reach) -> None:
     while True:
         await asyncio.sleep(REACH_PAUSE)
         if agent.is_gone:
-            with suppress(LinkError):
+            with goes_on("the way to the agent"), suppress(LinkError):
                 agent.reopen(await reach())

@@ -122,7 +122,7 @@ class ChildProcess:
             await asyncio.sleep(RESTART_PAUSES[min(failures, len(RESTART_PAUSES) - 1)])
             try:
                 await self.start()
-            except (M100Error, OSError) as error:
+            except Exception as error:  # noqa: BLE001 (noted): no memory, or no thread to wait for it
                 failures += 1
                 self._note(f"{self._called}: not started: {error}", "error")
             else:

@@ -1044,6 +1044,27 @@ async def test_what_is_kept_is_renewed_each_half_second_and_no_longer_than_the_b
         assert keeping.done()
 
 
+async def test_a_renewal_without_memory_is_not_the_last_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A landing that nobody waits for would be broken off when the lease ends."""
+    async with front() as pilot:
+        pilot.client._clock = asyncio.get_running_loop().time
+        await pilot.one.obtain()
+        heard, lacking = pilot.one.heard, [MemoryError()]
+
+        def lacks() -> None:
+            if lacking:
+                raise lacking.pop()
+            heard()
+
+        monkeypatch.setattr(pilot.one, "heard", lacks)
+        async with pilot.one.kept():
+            await asyncio.sleep(2.2)
+        assert not lacking
+        assert pilot.orders().count("RenewLease") == 4
+
+
 @pytest.mark.parametrize("use", ["obtain", "hear", "ask", "steer"])
 async def test_idle_counts_from_the_newest_use(use: str) -> None:
     async with front(idle_s=5.0, who="this tab") as pilot:

@@ -429,3 +429,22 @@ def test_openssl_verifies_a_list(authority: Authority, tmp_path: Path) -> None:
         ["openssl", "dgst", *words], check=False, capture_output=True, cwd=tmp_path
     )
     assert ended.returncode == 0, ended.stderr
+
+
+async def test_a_look_without_memory_is_not_the_last_one(
+    site: Site, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Who is revoked by a file would steer on."""
+    await site.begin()
+    look, lacking = site.revocations.look, [MemoryError(), RuntimeError("can't start new thread")]
+
+    async def lacks() -> bool:
+        if lacking:
+            raise lacking.pop()
+        return await look()
+
+    monkeypatch.setattr(site.revocations, "look", lacks)
+    (site.onboard / LIST).write_bytes(site.revoked("anna"))
+    await anyio.sleep(4.0)
+    assert not lacking
+    assert site.revocations.number == 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import random
 import socket
 from contextlib import AsyncExitStack
@@ -14,7 +15,7 @@ import pytest
 from m100link.apps.station import listeners
 from m100link.apps.station.config import Settings
 from m100link.apps.station.listeners import FRONTS, Fronts, FrontSpec, Sockets, open_sockets
-from m100link.errors import M100Error, PortBusy, PortFailed, UsageError
+from m100link.errors import LinkLost, M100Error, PortBusy, PortFailed, UsageError
 
 pytestmark = pytest.mark.anyio
 
@@ -167,3 +168,22 @@ async def test_a_port_that_is_taken_and_an_address_of_others_have_their_own_erro
             listeners.bound(stack, ("192.0.2.1", 0), socket.SOCK_DGRAM, **said)
     assert not isinstance(failed.value, PortBusy)
     assert (failed.value.cause, failed.value.remedy) == ("", said["remedy"])
+
+
+async def test_a_front_without_memory_for_a_moment_finds_the_next_agent_all_the_same() -> None:
+    """Or its STOP would go to nobody for good."""
+    found: list[object] = []
+    agent: Any = SimpleNamespace(is_gone=True, reopen=found.append)
+    answers: list[object] = [MemoryError(), LinkLost("no agent"), "the next agent"]
+
+    async def reach() -> Any:
+        answer = answers.pop(0)
+        if isinstance(answer, BaseException):
+            raise answer
+        agent.is_gone = False
+        return answer
+
+    looking = asyncio.ensure_future(listeners.keep_reached(agent, reach))
+    await asyncio.wait([looking], timeout=4 * listeners.REACH_PAUSE)
+    looking.cancel()
+    assert found == ["the next agent"]

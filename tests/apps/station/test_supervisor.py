@@ -2,8 +2,16 @@
 
 from __future__ import annotations
 
+import asyncio
 import subprocess
 import sys
+
+import pytest
+
+from m100link.apps.station.supervisor import ChildProcess
+from m100link.sim.clock import virtual_clock_loop
+
+FIRST = asyncio.FIRST_COMPLETED
 
 _PROGRAM = """
 import gc
@@ -27,3 +35,33 @@ def test_what_stays_is_not_walked_through_and_what_comes_later_is_collected() ->
     assert walked > 10_000
     assert left < walked / 50
     assert found >= 11
+
+
+@pytest.mark.parametrize(
+    "met", [MemoryError(), RuntimeError("can't start new thread"), OSError(24)]
+)
+def test_a_child_that_could_not_be_started_is_tried_again_whatever_was_lacking(
+    met: Exception, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Or the station would have no front any more, and nobody would hear of it."""
+    notes: list[str] = []
+    child = ChildProcess("fronts", "fronts", {}, lambda text, level: notes.append(text))
+    starts: list[Exception | None] = [met, None]
+    running = asyncio.Event()
+    child.on_restart.append(running.set)
+
+    async def start() -> None:
+        if (lacking := starts.pop(0)) is not None:
+            raise lacking
+
+    monkeypatch.setattr(child, "start", start)
+
+    async def keep() -> None:
+        keeping = asyncio.ensure_future(child.keep())
+        await asyncio.wait([keeping, asyncio.ensure_future(running.wait())], return_when=FIRST)
+        assert not keeping.done()
+        keeping.cancel()
+
+    with asyncio.Runner(loop_factory=virtual_clock_loop) as runner:
+        runner.run(keep())
+    assert [note.split(":")[1].strip() for note in notes[:1]] == ["not started"]

@@ -9,7 +9,7 @@ from contextlib import suppress
 from functools import partial
 from typing import TypeVar
 
-from m100link.apps.agent.background import TaskSet
+from m100link.apps.agent.background import TaskSet, goes_on
 from m100link.apps.agent.messages import EventTopic, Journal
 from m100link.errors import M100Error, MissionRunning, NotObserved, UsageError
 from m100link.flight.control import Control
@@ -184,7 +184,7 @@ class ActiveMission:
         try:
             while self._is_owed_a_stop and self._flight is not None:
                 await asyncio.sleep(_STOP_AGAIN_S)
-                with suppress(M100Error):
+                with goes_on("the stop of a mission"), suppress(M100Error):
                     await self._flight.stop()
             if not self._is_left:
                 self._journal.note(f"the {what} was stopped", "warning")

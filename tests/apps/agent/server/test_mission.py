@@ -21,6 +21,7 @@ from m100link.flight.missions.events import (
     Started,
     Uploaded,
 )
+from m100link.flight.missions.mission_guard import MissionFlight
 from m100link.geodesy import LocalFrame
 from m100link.missions.plan import AtEnd, WaypointPlan
 from m100link.missions.waypoint import Waypoint
@@ -227,3 +228,33 @@ async def test_a_stop_that_the_aircraft_takes_and_does_not_carry_out_is_not_enou
         await asyncio.sleep(2.0)
         assert vehicle.flight.dynamics.speed < STILL_M_S
         assert vehicle.authority.device is Device.RC
+
+
+@pytest.mark.anyio
+async def test_a_stop_for_which_no_memory_was_left_goes_out_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Its first ones were not answered, and nobody else would stop it."""
+    async with Rig(firmware="3.1").running() as rig:
+        motion = rig.aircraft.vehicle.flight.dynamics
+        await airborne(rig)
+        await plan_flies(rig)
+        await asyncio.sleep(13.0)
+        assert motion.speed > STILL_M_S
+        spoil(rig, "deaf")
+        rig.agent.hover("somebody")
+        flying = rig.agent.holding.flying
+        await rig.until(lambda: flying is not None and flying.mission.stopping is not None)
+        stop, lacking = MissionFlight.stop, [MemoryError()]
+
+        async def lacks(flight: MissionFlight) -> None:
+            if lacking:
+                raise lacking.pop()
+            await stop(flight)
+
+        monkeypatch.setattr(MissionFlight, "stop", lacks)
+        await asyncio.sleep(1.0)
+        mend(rig, "deaf")
+        await asyncio.sleep(9.0)
+        assert not lacking
+        assert motion.speed < STILL_M_S
