@@ -703,3 +703,11 @@ async def test_a_replay_at_its_end_begins_again_and_has_a_fastest_and_a_slowest(
     replays._player = None
     with pytest.raises(UsageError, match="nothing is played"):
         await replays.order("pause")
+
+
+@pytest.mark.parametrize(("before", "owed"), [(0, Owed.NOTHING), (1, Owed.AT_ONCE)])
+async def test_after_an_agent_that_may_have_granted_a_lease_control_is_given_back(
+    before: int, owed: Owed
+) -> None:
+    agent = Agent(AsyncMock(), leases_before=before)
+    assert agent.holding.orphaned.owed is owed

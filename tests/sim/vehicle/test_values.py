@@ -1,0 +1,329 @@
+"""Channels, sticks, switches and readings: values of the document, all different from each other.
+
+Item RC (2.2.3.1): roll, pitch, yaw, throttle, mode, gear. Virtual channels of firmware 3.1: roll,
+pitch, throttle, yaw, gear, a free one and the mode; 1024 is the middle, 660 the travel to each
+side. Items: document 2.2.3.1, in the order of their fields.
+"""
+
+from __future__ import annotations
+
+import math
+from random import Random
+from typing import Any
+
+import pytest
+
+from m100link.protocol import Setpoint
+from m100link.protocol.commands.virtual_rc import VirtualRcData, VirtualRcSettings
+from m100link.protocol.firmware import profile
+from m100link.protocol.records import AccelerationMode, Device, FlightPhase, RcMode
+from m100link.sim import AircraftSettings, AssistantSettings, PilotRemote, Vehicle
+from m100link.sim.vehicle.remote import VirtualRemote
+
+ON, NEVER_BACK, OFF = (
+    VirtualRcSettings(*flags) for flags in ((True, True), (True, False), (False, True))
+)
+CHANNELS = (1024 + 66, 1024 - 132, 1024 + 198, 1024 - 264, 1324, 1024, 496, *[1024] * 9)
+
+
+# -- the virtual remote control ---------------------------------------------------------------
+
+
+def test_a_channel_moves_its_stick_by_660_of_the_travel() -> None:
+    remote = VirtualRemote()
+    remote.switch(ON, 5.0)
+    remote.feed(VirtualRcData(CHANNELS), 5.0)
+    expected = (0.1, -0.2, -0.4, 0.3, RcMode.F, True)  # roll, pitch, yaw, throttle
+    assert remote.sticks(5.0) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
+    ("place", "value", "field", "shown"),
+    [
+        (0, 1024 + 700, 0, 1.0),
+        (0, 1024 - 700, 0, -1.0),
+        (4, 1499, 5, True),
+        (4, 1500, 5, False),
+        (4, 1684, 5, False),
+        *((6, at, 4, RcMode.F) for at in (364, 496, 759)),
+        *((6, at, 4, RcMode.A) for at in (761, 1024, 1287)),
+        *((6, at, 4, RcMode.P) for at in (1289, 1552, 1684)),
+    ],
+)
+def test_a_channel_has_ends_and_a_switch_is_in_the_nearest_position(
+    place: int, value: int, field: int, shown: object
+) -> None:
+    remote = VirtualRemote()
+    remote.switch(ON, 0.0)
+    remote.feed(VirtualRcData((*CHANNELS[:place], value, *CHANNELS[place + 1 :])), 0.0)
+    sticks = remote.sticks(0.0)
+    assert sticks is not None
+    assert sticks[field] == shown
+
+
+@pytest.mark.parametrize(
+    ("command", "after", "says", "stays_on", "is_lost"),
+    [
+        (ON, 1.0, True, True, False),
+        (ON, 1.01, False, False, False),
+        (NEVER_BACK, 1.0, True, True, False),
+        (NEVER_BACK, 1.01, False, True, True),
+        (OFF, 0.1, False, False, False),
+    ],
+)
+def test_it_says_something_for_a_second_after_the_last_channels(
+    command: VirtualRcSettings, after: float, says: bool, stays_on: bool, is_lost: bool
+) -> None:
+    remote = VirtualRemote()
+    remote.switch(command, 3.0)
+    remote.feed(VirtualRcData(CHANNELS), 3.5)
+    assert (remote.sticks(3.5 + after) is not None) is says
+    assert remote.is_on is stays_on
+    assert remote.counts_as_lost(3.5 + after) is is_lost
+
+
+@pytest.mark.parametrize(("pause", "locks"), [(1.98, True), (1.995, False), (2.0, False)])
+def test_settings_within_two_seconds_lock_it(pause: float, locks: bool) -> None:
+    remote = VirtualRemote()
+    remote.switch(ON, 0.5)
+    assert not remote.is_locked
+    remote.feed(VirtualRcData(CHANNELS), 0.5)
+    remote.switch(ON, 0.5 + pause)
+    assert remote.is_locked is locks
+    assert remote.sticks(0.5 + pause) is None, "channels come anew"
+    remote.reset()
+    assert (remote.is_on, remote.is_locked) == (False, False)
+    remote.switch(ON, 0.6)
+    assert not remote.is_locked, "as at power-on"
+
+
+# -- the pilot's ------------------------------------------------------------------------------
+
+
+def test_the_item_has_ten_thousandths_of_each_stick_in_its_order() -> None:
+    remote = PilotRemote(RcMode.F)
+    remote.move_stick(roll=0.1, pitch=-0.2, yaw=-0.4, throttle=0.3)
+    assert remote.channels() == (1000, -2000, -4000, 3000, 8000, -4545)
+    remote.gear_down = False
+    remote.set_mode("A")
+    assert remote.channels() == (1000, -2000, -4000, 3000, 0, -10_000)
+    remote.virtual.is_locked = True  # the pilot's sticks do nothing; the autopilot reads P
+    assert remote.channels() == (0, 0, 0, 0, -8000, -10_000)
+
+
+@pytest.mark.parametrize("stick", ["roll", "pitch", "yaw", "throttle"])
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_a_stick_is_moved_beyond_five_percent(stick: str, side: float) -> None:
+    moved = []
+    for by in (0.0, 0.05, 0.051):
+        remote = PilotRemote()
+        remote.move_stick(**{stick: side * by})
+        moved.append(remote.sticks().are_moved)
+    assert moved == [False, False, True]
+
+
+@pytest.mark.parametrize(
+    ("roll", "pitch", "yaw", "throttle", "is_corner"),
+    [
+        (-1.0, -1.0, 1.0, -1.0, True),
+        (1.0, -1.0, -1.0, -1.0, True),
+        (0.96, -0.96, 0.96, -0.96, True),
+        (0.95, -1.0, 1.0, -1.0, False),
+        (1.0, -0.95, 1.0, -1.0, False),
+        (1.0, -1.0, 0.95, -1.0, False),
+        (1.0, -1.0, 1.0, -0.95, False),
+        (1.0, 1.0, 1.0, -1.0, False),
+        (1.0, -1.0, 1.0, 1.0, False),
+    ],
+)
+def test_both_sticks_down_and_aside_are_the_corner_and_two_seconds_of_it_the_gesture(
+    roll: float, pitch: float, yaw: float, throttle: float, is_corner: bool
+) -> None:
+    remote = PilotRemote()
+    remote.move_stick(roll=roll, pitch=pitch, yaw=yaw, throttle=throttle)
+    assert remote.sticks().are_in_corner is is_corner
+    made = []
+    for remote.now in (7.0, 8.99, 9.0, 9.1, 13.0):
+        made.append(remote.makes_gesture())
+    assert made == [False, False, is_corner, False, False], "it counts once"
+
+
+def test_the_mode_switch_moves_only_to_another_position() -> None:
+    remote = PilotRemote(RcMode.F)
+    remote.virtual.is_on = True
+    remote.set_mode("F")
+    assert (remote.moved_since_power_on, remote.virtual.is_on) == (False, True)
+    remote.set_mode("A")
+    assert (remote.moved_since_power_on, remote.virtual.is_on) == (True, False)
+    remote.virtual.is_on = True
+    remote.set_mode("P")
+    assert remote.virtual.is_on, "it ends by leaving F"
+
+
+# -- what telemetry says ----------------------------------------------------------------------
+
+
+def posed(firmware: str = "3.1", **settings: Any) -> Vehicle:
+    """An aircraft in an attitude, at a place and with a motion that are each a different number."""
+    vehicle = Vehicle(Random(1), profile(firmware), settings=AircraftSettings(**settings))
+    motion = vehicle.flight.dynamics
+    motion.place(300.0, -400.0, 12.0, yaw_deg=170.0)
+    motion.roll, motion.pitch = math.radians(10.0), math.radians(-20.0)
+    motion.velocity_north, motion.velocity_east, motion.velocity_up = 1.0, -2.0, 3.0
+    motion.acceleration_north, motion.acceleration_east, motion.acceleration_up = 0.4, -0.5, 0.6
+    motion.rate_x, motion.rate_y, motion.rate_z = 0.1, -0.2, 0.3
+    return vehicle
+
+
+def read(vehicle: Vehicle, name: str) -> tuple[float, ...]:
+    return vehicle.sensors.reader(name)()
+
+
+C10, S10, C20, S20, C170, S170 = (
+    f(math.radians(a)) for a in (10, 20, 170) for f in (math.cos, math.sin)
+)
+
+
+def to_body(north: float, east: float, down: float) -> list[float]:
+    """Turn by yaw 170, pitch −20, roll 10 degrees, one rotation after the other."""
+    x, y = north * C170 + east * S170, -north * S170 + east * C170
+    x, z = x * C20 + down * S20, -x * S20 + down * C20
+    return [x, y * C10 + z * S10, -y * S10 + z * C10]
+
+
+@pytest.mark.parametrize(
+    ("name", "settings", "expected"),
+    [
+        ("velocity", {}, [1.0, -2.0, 3.0, 1]),
+        ("velocity", {"vertical_down": True}, [1.0, -2.0, -3.0, 1]),
+        ("acceleration", {}, [0.4, -0.5, 0.6]),
+        ("acceleration", {"vertical_down": True}, [0.4, -0.5, -0.6]),
+        ("angular_velocity", {}, [0.1, -0.2, 0.3]),
+        ("magnetometer", {}, [round(one) for one in to_body(1100.0, 0.0, 1020.0)]),
+        (
+            "position",  # 111.195 km are a degree; at 60° north half of it eastwards
+            {"latitude_deg": 60.0, "longitude_deg": 20.0, "ground_altitude": 30.0},
+            [math.radians(60.002693), math.radians(19.992825), 42.0, 12.0, 5],
+        ),
+        ("rc", {}, [0, 0, 0, 0, 8000, -4545]),
+        ("flight_status", {}, [FlightPhase.STANDBY]),
+    ],
+)
+def test_a_reading_has_the_value_of_its_field(
+    name: str, settings: dict[str, Any], expected: list[float]
+) -> None:
+    reading = read(posed(**settings), name)
+    assert list(reading) == pytest.approx(expected, rel=1e-9, abs=2e-7)
+
+
+def test_raw_acceleration_is_the_force_that_carries_it_in_g_and_in_the_body() -> None:
+    vehicle = posed()
+    vehicle.configure(AssistantSettings(acceleration=AccelerationMode.RAW))
+    felt = to_body(0.4, -0.5, -0.6 - 9.81)
+    expected = [one / 9.81 for one in felt]
+    assert list(read(vehicle, "acceleration")) == pytest.approx(expected, abs=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("firmware", "health", "status"),
+    [("1.0", 3, 1), ("2.3", 3, 7), ("3.1", 3, 1), ("3.1", 2, 0), ("2.3", 2, 0)],
+)
+def test_velocity_is_good_from_gps_health_three_on(firmware: str, health: int, status: int) -> None:
+    vehicle = posed(firmware)
+    vehicle.set_gps_health(health)
+    assert read(vehicle, "velocity")[3] == status
+    assert read(vehicle, "position")[4] == health
+    vehicle.set_gps_health(0)
+    assert read(vehicle, "position") == (0.0, 0.0, 12.0, 12.0, 0)
+
+
+@pytest.mark.parametrize(
+    ("nose", "yaw", "shown"),
+    [
+        (170.0, 5.0, 175.0),
+        (170.0, 10.0, 180.0),
+        (170.0, 11.0, -179.0),
+        (-170.0, -9.0, -179.0),
+        (-170.0, -10.0, 180.0),
+        (-170.0, -11.0, 179.0),
+    ],
+)
+def test_the_gimbal_is_shown_by_its_direction_on_the_ground(
+    nose: float, yaw: float, shown: float
+) -> None:
+    vehicle = posed()
+    vehicle.flight.dynamics.yaw = math.radians(nose)
+    gimbal = vehicle.gimbal
+    gimbal.yaw, gimbal.roll, gimbal.pitch = yaw, 3.0, -40.0
+    assert read(vehicle, "gimbal") == pytest.approx((3.0, -40.0, shown, 0))
+    gimbal.pitch = -90.0
+    assert read(vehicle, "gimbal")[3] == 1
+
+
+@pytest.mark.parametrize(("percent", "shown"), [(100.0, 100), (55.01, 56), (0.2, 1), (0.0, 0)])
+def test_the_battery_is_rounded_up(percent: float, shown: int) -> None:
+    vehicle = posed()
+    vehicle.flight.battery_percent = percent
+    assert read(vehicle, "battery") == (shown,)
+
+
+@pytest.mark.parametrize(
+    ("firmware", "steps", "tick", "nanoseconds"),
+    [
+        ("1.0", 123, 738, 230_000_000),
+        ("2.3", 123, 738, 230_000_000),
+        ("3.1", 251, 1004, 510_000_000),
+    ],
+)
+def test_the_clock_has_600_or_400_ticks_and_the_nanoseconds_of_the_second(
+    firmware: str, steps: int, tick: int, nanoseconds: int
+) -> None:
+    vehicle = posed(firmware)
+    vehicle.sensors.ticks = steps
+    assert read(vehicle, "time") == (tick, nanoseconds, 0)
+
+
+@pytest.mark.parametrize(
+    ("firmware", "is_requested", "is_pending", "is_virtual", "control"),
+    [
+        ("2.3", False, False, False, 2),
+        ("2.3", True, False, False, 2 | 8),
+        ("2.3", False, True, False, 2 | 8),
+        ("1.0", True, True, False, 2),
+        ("3.1", False, False, True, 2 | 16),
+        ("3.1", True, False, True, 2 | 8 | 16),
+    ],
+)
+def test_the_control_device_item_has_a_bit_for_a_request_and_one_for_the_virtual_remote(
+    firmware: str, is_requested: bool, is_pending: bool, is_virtual: bool, control: int
+) -> None:
+    vehicle = posed(firmware)
+    authority = vehicle.authority
+    authority.device = Device.ONBOARD
+    authority.is_requested, authority.is_pending = is_requested, is_pending
+    vehicle.remote.virtual.is_on = is_virtual
+    assert read(vehicle, "control_device") == (control, 0)
+
+
+@pytest.mark.parametrize(("device", "shows"), [(Device.ONBOARD, True), (Device.RC, False)])
+def test_the_mode_of_movement_is_shown_while_the_onboard_device_has_control(
+    device: Device, shows: bool
+) -> None:
+    vehicle = posed()
+    setpoint = Setpoint.velocity(north=1, east=2, up=0, yaw_rate_deg_s=3)
+    vehicle.authority.device = device
+    vehicle.flight.setpoint = setpoint
+    shown = read(vehicle, "control_device")[1]
+    assert shown == (setpoint.mode.number if shows else 0)
+    assert setpoint.mode.number
+
+
+@pytest.mark.parametrize(
+    ("reads", "expected"), [("zeros", (0,) * 6), ("kept", (0, 0, 0, 0, 8000, -4545))]
+)
+def test_a_remote_that_is_off_reads_as_the_settings_say(
+    reads: str, expected: tuple[int, ...]
+) -> None:
+    vehicle = posed(rc_lost_reads=reads)
+    vehicle.remote.is_switched_on = False
+    assert read(vehicle, "rc") == expected
