@@ -569,6 +569,17 @@ def circle(radius: float, north: float = 0.0, east: float = 0.0, command: int = 
     return MavlinkMessage("MISSION_ITEM_INT", {"command": command, "param1": radius} | place)
 
 
+def polygon(*corners: tuple[float, float]) -> Any:
+    """The area that excludes what lies between corners north and east of the known place, m."""
+    items = []
+    for latitude, longitude in (HERE.to_geodetic(*corner) for corner in corners):
+        place = {"x": round(latitude * 1e7), "y": round(longitude * 1e7)}
+        fields = {"command": 5002, "param1": float(len(corners)), **place}
+        items.append(MavlinkMessage("MISSION_ITEM_INT", fields))
+    [area] = read_fence(items).areas
+    return area
+
+
 def flying(
     speed: tuple[float, float], leg: GuidedOrder | None = None, **state: Any
 ) -> MavlinkVehicle:
@@ -674,3 +685,31 @@ def test_nobody_flies_on_before_a_fence_without_a_place_and_a_speed(lost: type[A
     known.items[lost] = position() if lost is Position else Velocity(30.0, 0.0, 0.0, 7)
     one.manager._begin(ModeRequest(Mode.HOLD, HoldPosition(), PEER))
     assert not is_held(one, circle(5.0)), "on the ground"
+
+
+# The middle of the frame is the last corner: its sides begin and end at exactly 0 m east.
+@pytest.mark.parametrize(
+    ("corners", "north", "is_inside"),
+    [
+        ([(10.0, -50.0), (-60.0, -50.0), (-60.0, 50.0), (10.0, 50.0)], -30.0, True),
+        ([(10.0, -50.0), (-60.0, -50.0), (-60.0, 50.0), (10.0, 50.0)], 5.0, False),
+        ([(50.0, -50.0), (-50.0, -50.0)], -10.0, False),
+        ([(-50.0, 50.0), (50.0, 50.0)], -10.0, False),
+    ],
+)
+def test_a_place_south_of_a_corner_is_inside_where_the_area_goes_on_at_both_sides(
+    corners: list[tuple[float, float]], north: float, is_inside: bool
+) -> None:
+    area = polygon(*corners, (0.0, 0.0))
+    assert area.has(LATITUDE + north / 111_195.0, LONGITUDE) is is_inside
+
+
+@pytest.mark.parametrize(
+    ("east", "is_entered"), [(-50.0, True), (50.0, True)], ids=["tip to the east", "to the west"]
+)
+def test_a_way_that_touches_a_corner_enters_the_area(east: float, is_entered: bool) -> None:
+    area = polygon((50.0, east), (-50.0, east), (0.0, 0.0))
+    way = [(LATITUDE + north / 111_195.0, LONGITUDE) for north in (-100.0, 100.0)]
+    assert area.is_entered(*way) is is_entered
+    assert not area.is_entered(way[0], way[0])
+    assert not area.is_entered(way[0], (LATITUDE - 1e-5, LONGITUDE)), "it ends before it"
