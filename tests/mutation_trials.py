@@ -71,13 +71,12 @@ def mirrored(module: str) -> str:
 
 
 def own_files(module: str) -> tuple[str, ...]:
-    """The mirrored test file of a module, first, and its partners."""
-    stem, test = Path(module).stem, mirrored(module)
-    if not test:
-        return ()
-    names = (*PARTNERS.get(stem, ()), "values", "calls")  # tables of what goes in and comes out
-    partners = (Path(test).with_name(f"test_{name}.py") for name in names)
-    return test, *(str(path) for path in partners if (ROOT / path).exists())
+    """The mirrored test file of a module, first, and its partners: those that there are."""
+    test = place_of_test(ROOT / module).relative_to(ROOT)
+    # Tables of what goes in and comes out are of every module beside them.
+    names = (*PARTNERS.get(Path(module).stem, ()), "values", "calls")
+    found = (test, *(test.with_name(f"test_{name}.py") for name in names))
+    return tuple(str(path) for path in found if (ROOT / path).exists())
 
 
 class Trials:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import asyncio
 import json
 import math
+import os
 import signal
 from collections.abc import AsyncIterator, Callable
 from contextlib import AsyncExitStack, asynccontextmanager
@@ -156,6 +157,62 @@ async def test_a_virtual_aircraft_of_the_station_is_owned_for_its_own_app(noted:
     assert (credentials.app_id, credentials.key, credentials.level) == (7, KEY, 1)
 
 
+async def test_a_recorded_flight_has_neither_app_nor_log(
+    noted: Noted, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """It is looked at before anybody is served."""
+    replay = SimpleNamespace(connect="the flight")
+
+    async def look() -> None:
+        noted.append(("look", (), {}))
+
+    def replays(url: str, firmware: str | None, tell: Callable[[str], None]) -> Any:
+        assert (url, firmware) == ("replay:///x.mcap", "2.3")
+        replay.tell = tell
+        return replay
+
+    replay.look = look
+    monkeypatch.setattr(run, "Replays", replays)
+    settings = Settings(url="replay:///x.mcap", firmware="2.3", record=tmp_path, **REAL)
+    async with run.owning(settings):
+        replay.tell("it begins")
+    assert noted.names[:2] == ["look", "agent"]
+    (way,), how = noted.of("agent")
+    assert (way, how["credentials"], how["replay"]) == ("the flight", None, replay)
+    assert noted.of("note")[0] == ("it begins", "info")
+
+
+@pytest.mark.parametrize(
+    ("folder", "no_record", "keeps"),
+    [
+        ("", False, None),
+        ("ours", True, None),
+        ("ours", False, (3, 40)),
+        ("ours/a1", False, (3, 40)),
+        ("ours/a1/b", False, (0, 0)),
+        ("theirs", False, (0, 0)),
+    ],
+)
+def test_room_is_made_in_folders_of_ours_alone(
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    folder: str,
+    no_record: bool,
+    keeps: tuple[int, int] | None,
+) -> None:
+    """Logs and megabytes of them; 0 keeps all."""
+    monkeypatch.setattr(run, "default_folder", lambda: tmp_path / "ours")
+    monkeypatch.setattr(run, "Flights", lambda at, **how: (at, how["keep"], how["keep_mb"]))
+    settings = Settings(
+        record=tmp_path / folder if folder else None,
+        no_record=no_record,
+        record_keep=3,
+        record_keep_mb=40,
+    )
+    found: Any = run._flights(settings, print)
+    assert found == (None if keeps is None else (tmp_path / folder, *keeps))
+
+
 async def test_no_aircraft_at_all_is_a_mistake(noted: Noted) -> None:
     with pytest.raises(UsageError, match="no aircraft was named"):
         async with run.owning(Settings()):
@@ -235,7 +292,7 @@ async def test_the_process_of_the_fronts_of_one_aircraft(
     settings = Settings(sim=True) if sim else Settings(url=URL)
     async with run.running_apart(settings, with_console=with_console) as one:
         assert one.console_path() == "/?code=1"
-        assert one.has_authority
+        assert one.has_authority is True
     assert noted.of("open_sockets")[1] == {"with_console": with_console, "with_rosbridge": True}
     [front] = children
     assert (front.role, front.called) == ("fronts", "the fronts")
@@ -291,6 +348,7 @@ async def test_the_processes_of_several_aircraft(
     aircraft = {"left": Settings(sim=True, port=1), "right": Settings(url=URL)}
 
     def tell(name: str, event: Any) -> None:
+        assert (event.number, event.at) == (0, asyncio.get_running_loop().time())
         told.append((name, event.text, event.level))
 
     async with run.running_several(aircraft, with_console=with_console, tell=tell) as one:
@@ -347,6 +405,39 @@ async def test_a_station_has_up_to_eight_aircraft(
     with pytest.raises(Enough if is_taken else UsageError):
         async with run.running_several(aircraft):
             pass
+
+
+async def test_nodes_that_cannot_be_are_refused_before_anything_is_opened(
+    noted: Noted, children: list[Child]
+) -> None:
+    aircraft = {name: Settings(sim=True, ros2=True, ros2_domain=233) for name in "ab"}
+    with pytest.raises(UsageError, match="there is no domain 233"):
+        async with run.running_several(aircraft):
+            pass
+    assert noted.names == []
+
+
+async def test_in_one_event_loop_all_is_loaded_before_the_aircraft_is_connected(
+    noted: Noted, children: list[Child], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """To load a front takes a second, in which nobody would hear the aircraft."""
+    front = SimpleNamespace(load=noted.call("load"))
+    monkeypatch.setattr(run, "FRONTS", {"rosbridge": front})
+    fronts = SimpleNamespace(console_path=lambda: "/?code=2", made={"rosbridge": "the bridge"})
+    monkeypatch.setattr(run, "serving_fronts", noted.context("serving", fronts))
+    async with run.running(Settings(url=URL)) as one:
+        bridge: object = one.bridge
+        assert (one.console_path(), bridge, one.has_authority) == (
+            "/?code=2",
+            "the bridge",
+            True,
+        )
+        (_, _, reach, orders), _ = noted.of("serving")
+        assert (list(reach), orders) == ([ONLY_NAME], {})
+        channel = await reach[ONLY_NAME]()
+        ((attached,), _) = noted.of("attach")
+        assert channel is not attached
+    assert noted.names[:5] == ["open_sockets", "load", "by_url", "agent", "serving"]
 
 
 # -- what a process does --------------------------------------------------------------------------
@@ -624,6 +715,22 @@ def test_a_child_works_until_a_signal_and_tells_its_fault(
         assert told == {"is_virtual": True}
     else:
         assert RemoteError(**told["fault"]).error().seen == "it cannot be"
+
+
+async def test_a_child_ends_when_nobody_writes_to_it_any_more(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    read, write = os.pipe()
+    monkeypatch.setattr("sys.stdin", SimpleNamespace(fileno=lambda: read))
+    ended = asyncio.Event()
+    supervisor.end_with_parent(ended)
+    await asyncio.sleep(1.0)
+    lives = not ended.is_set()
+    os.close(write)
+    async with asyncio.timeout(1.0):
+        await ended.wait()
+    os.close(read)
+    assert lives
 
 
 # -- the way to an agent that is started again ----------------------------------------------------
