@@ -5,26 +5,50 @@ Times are seconds inside the library and milliseconds where the title of a colum
 
 from __future__ import annotations
 
+import asyncio
 import io
+import math
 import sys
 import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import pytest
 from rich.console import Console
 from rich.table import Table
 
-from m100link import GuardRefused, UsageError
-from m100link.apps.cli import flight, telemetry
+from m100link import AckTimeout, GuardRefused, LinkError, UsageError
+from m100link.apps.agent.messages import RemoteError
+from m100link.apps.cli import connection, fleet_plans, fleet_verbs, flight, mission, sim, telemetry
+from m100link.apps.cli.mission import event_name, event_words
+from m100link.apps.cli.terminal import ExitCode
+from m100link.apps.doctor import Finding, Stage, Verdict
+from m100link.apps.fleet.payloads import Card, MissionCard, MissionStage
 from m100link.flight.mission_state import MissionKind
-from m100link.protocol import Battery
+from m100link.flight.missions.events import (
+    Aborted,
+    ActionsDone,
+    Finished,
+    Reached,
+    Started,
+    Uploaded,
+    Uploading,
+)
+from m100link.geodesy import LocalFrame
+from m100link.link.statistics import RoundTrips
+from m100link.missions.plan import AtEnd
+from m100link.protocol import Battery, FlightPhase, FlightStatus, Position
+from m100link.protocol.firmware import PROFILES
 from m100link.protocol.items import BY_RECORD
 from m100link.sim import VirtualClockEventLoop
+from m100link.sim.vehicle.activation import DEMO_APP_ID
 from m100link.telemetry.state import ItemStatistics
 from tests.apps.cli.conftest import CommandLine
+from tests.flight.missions.foreign import plan as short_plan
+from tests.known import position
 from tests.rig import rig
 
 pytestmark = pytest.mark.anyio
@@ -198,3 +222,407 @@ async def test_the_mission_ends_before_it_is_ordered_down(
     monkeypatch.setattr(flight, "in_control", in_control)
     await verb(options=SimpleNamespace(place=lambda url: None))
     assert done == ["stop_mission", last]
+
+
+# -- what a mission in flight is waited for -------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("firmware", "known_after", "waits"),
+    [("3.1", 0.0, 0.0), ("3.1", 0.32, 0.35), ("3.1", 9.0, 1.0), ("1.0", 9.0, 0.0)],
+)
+async def test_a_second_is_enough_to_hear_of_a_mission(
+    firmware: str, known_after: float, waits: float
+) -> None:
+    """Firmware that knows missions says which one it flies; older firmware never does."""
+    loop, began = asyncio.get_running_loop(), asyncio.get_running_loop().time()
+
+    class Aircraft(SimpleNamespace):
+        @property
+        def mission(self) -> Any:
+            is_known = loop.time() - began >= known_after
+            kind = MissionKind.NONE if is_known else MissionKind.UNKNOWN
+            return SimpleNamespace(kind=kind, is_running=False)
+
+    await flight.hear_of_mission(cast("Any", Aircraft(firmware=PROFILES[firmware])))
+    assert loop.time() - began == pytest.approx(waits, abs=0.026)
+
+
+# -- the line -------------------------------------------------------------------------------------
+
+
+def test_round_trips_are_told_in_milliseconds() -> None:
+    """Bounds of 1, 2, 5 ... 2000 ms; half of these took up to 2 ms, the slowest 500."""
+    trips = RoundTrips((4, 6, 0, 0, 9, 0, 0, 0, 1, 0, 0, 0), 0.9)
+    told = connection._described(trips)
+    assert (told["count"], told["mean_ms"]) == (20, 45.0)
+    assert told["within_ms"] == {"50%": 2.0, "95%": 20.0, "99%": 500.0}
+    assert told["up_to_ms"]["20"] == 9
+    assert list(told["up_to_ms"]) == [
+        *("1", "2", "5", "10", "20", "50", "100", "200", "500", "1000", "2000", "more")
+    ]
+    assert connection._described(RoundTrips())["mean_ms"] is None
+
+
+def test_rates_that_arrive_are_told_in_hertz() -> None:
+    told = connection._arriving({"telemetry": {"battery": 1.0, "rc": 49.5, "gimbal": None}})
+    assert told == "battery 1 Hz, rc 49.5 Hz, gimbal"
+    assert connection._arriving({"telemetry": {}}) == "nothing arrives"
+    assert connection.telemetry_rates(measured()) == {"battery": 49.5}
+
+
+STAGES = [
+    ("PORT PERMISSION OWNER INTERFERENCE OPENING", ExitCode.PORT, ExitCode.PORT),
+    ("BYTES FRAMES TELEMETRY VERSION FIRMWARE ACCELERATION", ExitCode.NO_LINK, ExitCode.NO_LINK),
+    ("ACTIVATION KEY", ExitCode.ACTIVATION, ExitCode.NO_LINK),
+    ("MODE_SWITCH AUTHORITY", ExitCode.AUTHORITY, ExitCode.NO_LINK),
+]
+
+
+@pytest.mark.parametrize(("names", "status", "when_silent"), STAGES)
+def test_the_exit_status_is_that_of_the_stage_or_of_the_line(
+    names: str, status: int, when_silent: int
+) -> None:
+    for name in names.split():
+        for error, expected in (
+            (None, status),
+            (AckTimeout("no answer"), when_silent),
+            (LinkError("it went away"), when_silent),
+            (UsageError("something else"), status),
+        ):
+            failure = SimpleNamespace(stage=Stage[name], error=error)
+            report: Any = SimpleNamespace(failure=failure)
+            assert connection.exit_status(report) == expected, (name, error)
+    assert connection.exit_status(cast("Any", SimpleNamespace(failure=None))) == ExitCode.OK
+
+
+DIAGNOSED = [
+    ("tcp://a:1", None, {}),
+    ("tcp://a:1 --app-id 7 --key " + "0f" * 32, 7, {}),
+    ("sim://", DEMO_APP_ID, {}),
+    ("tcp://a:1 --authority", None, {"authority": True}),
+    (
+        "tcp://a:1 --firmware 2.3 --baud 115200 --acceleration raw",
+        None,
+        {"firmware": "2.3", "baud_rate": 115_200, "acceleration": "raw"},
+    ),
+]
+
+
+@pytest.mark.parametrize(("words", "app", "how"), DIAGNOSED)
+def test_what_the_doctor_is_asked(
+    cli: CommandLine,
+    monkeypatch: pytest.MonkeyPatch,
+    words: str,
+    app: int | None,
+    how: dict[str, Any],
+) -> None:
+    """In a pipe it asks nobody, and says nothing but its report."""
+    asked: list[tuple[str, dict[str, Any]]] = []
+
+    async def diagnose(url: str, **options: Any) -> Any:
+        asked.append((url, options))
+        return SimpleNamespace(to_json=lambda: {"ok": True}, failure=None, doubts=(), findings=())
+
+    monkeypatch.setattr(connection, "diagnose", diagnose)
+    outcome = cli("doctor", *words.split())
+    assert (outcome.status, outcome.objects) == (0, [{"ok": True, "exit_status": 0}])
+    [(url, options)] = asked
+    assert url == words.split()[0]
+    credentials = options.pop("credentials")
+    assert (credentials and credentials.app_id) == app
+    usual = dict.fromkeys(("firmware", "baud_rate", "acceleration")) | {"authority": False}
+    assert options == usual | how
+
+
+@pytest.mark.parametrize("answer", ["n", "y"])
+@pytest.mark.parametrize("may_be_tried", [False, True])
+def test_the_doctor_tries_authority_only_after_a_yes(
+    cli: CommandLine, monkeypatch: pytest.MonkeyPatch, may_be_tried: bool, answer: str
+) -> None:
+    asked: list[bool] = []
+    finding = Finding(
+        Stage.AUTHORITY,
+        Verdict.SKIPPED,
+        "not tried",
+        details={"may_be_tried": may_be_tried},
+    )
+
+    async def diagnose(_: str, *, authority: bool, **__: Any) -> Any:
+        asked.append(authority)
+        return SimpleNamespace(to_json=dict, failure=None, doubts=(), findings=[finding])
+
+    async def read_line() -> str:
+        return answer
+
+    monkeypatch.setattr(connection, "diagnose", diagnose)
+    monkeypatch.setattr(connection, "read_line", read_line)
+    monkeypatch.setattr(sys, "stdin", SimpleNamespace(isatty=lambda: True))
+    outcome = cli("doctor", "tcp://a:1", "--table")
+    assert outcome.status == 0
+    tries = may_be_tried and answer == "y"
+    assert asked == ([False, True] if tries else [False])
+    assert ("Obtain control authority" in outcome.out) is may_be_tried
+    assert outcome.out.count("not tried") == (1 if tries else 0)
+
+
+@pytest.mark.parametrize(
+    ("given", "status"), [((True, False), 0), ((True, True), 4), ((False, False), 6)]
+)
+def test_a_first_contact_says_whether_control_went_back(
+    cli: CommandLine, monkeypatch: pytest.MonkeyPatch, given: tuple[bool, bool], status: int
+) -> None:
+    is_given_back, is_cut_off = given
+
+    async def meet(url: str, **how: Any) -> Any:
+        named = {name: how[name] for name in ("firmware", "baud_rate", "timeout")}
+        assert (url, named) == (
+            "tcp://a:1",
+            {"firmware": "2.3", "baud_rate": 115_200, "timeout": 2.5},
+        )
+        assert how["credentials"] is None
+        return SimpleNamespace(is_given_back=is_given_back, is_cut_off=is_cut_off)
+
+    monkeypatch.setattr(connection, "meet", meet)
+    words = "first-contact tcp://a:1 --firmware 2.3 --baud 115200 --timeout 2.5"
+    assert cli(*words.split()).status == status
+
+
+# -- a mission on the screen ----------------------------------------------------------------------
+
+
+def shown_mission(at_end: AtEnd = AtEnd.HOVER) -> Any:
+    """The display of a mission, on which an aircraft hovers at 9.96 m."""
+    state = SimpleNamespace(
+        flight_status=FlightStatus(FlightPhase.IN_AIR), position=SimpleNamespace(height_m=9.96)
+    )
+    return mission._Show(short_plan(at_end=at_end), cast("Any", SimpleNamespace(state=state)))
+
+
+OVER, FLIES = SimpleNamespace(is_over=True), SimpleNamespace(is_over=False)
+STOPPED: list[tuple[list[Any], AtEnd, Any, bool, str]] = [
+    ([], AtEnd.HOVER, OVER, False, "mission not started; the aircraft hovers at 10.0 m"),
+    ([], AtEnd.HOVER, OVER, True, "mission not started; the aircraft stands on the ground"),
+    (
+        [Started()],
+        AtEnd.HOVER,
+        OVER,
+        False,
+        "mission stopped before waypoint 0; the aircraft hovers at ",
+    ),
+    (
+        [Reached(0), Reached(2)],
+        AtEnd.HOVER,
+        OVER,
+        False,
+        "mission stopped after waypoint 2; the aircraft hovers at ",
+    ),
+    ([Reached(0)], AtEnd.HOVER, FLIES, False, "nothing confirmed the stop, the mission may fly"),
+    ([Finished()], AtEnd.HOVER, OVER, False, "mission finished; the aircraft hovers at 10.0 m"),
+    ([Finished()], AtEnd.LAND, OVER, True, "mission finished; the aircraft stands on the ground"),
+    ([Finished()], AtEnd.LAND, FLIES, False, "all waypoints are flown; the aircraft lands"),
+    ([Finished()], AtEnd.GO_HOME, FLIES, False, "all waypoints are flown; the aircraft lands"),
+    ([Finished()], AtEnd.HOVER, FLIES, False, "nothing confirmed the stop, the mission may fly"),
+]
+
+
+@pytest.mark.parametrize(("events", "at_end", "flown", "on_ground", "told"), STOPPED)
+@pytest.mark.usefixtures("capsys")
+def test_a_mission_that_was_left_early_is_told_as_it_is(
+    events: list[Any], at_end: AtEnd, flown: Any, on_ground: bool, told: str
+) -> None:
+    show = shown_mission(at_end)
+    if on_ground:
+        show._aircraft.state.flight_status = FlightStatus(FlightPhase.STANDBY)
+    for event in events:
+        show.tell(event, flown)
+    assert show.stopped(flown).startswith(told)
+    assert ("m100link land" in show.stopped(flown)) is ("hovers" in told)
+
+
+def test_events_have_few_words_and_the_bar_its_share() -> None:
+    show = shown_mission()
+    assert [show._bar(done).count("█") for done in range(5)] == [0, 5, 10, 15, 20]
+    show.uploading(Uploading(1, 4))
+    assert show._line == f"uploading {show._bar(2)} 2 of 4"
+    assert event_name(Reached(1)) == "reached"
+    assert event_name(ActionsDone(1)) == "actions_done"
+    assert event_words(Reached(3)) == "reached 3"
+    assert event_words(Uploaded(4, 61.6)) == "uploaded: 4 waypoints, about 62 s"
+    assert event_words(Aborted(7, "no GPS", 2)) == "aborted 2: no GPS"
+
+
+async def test_a_track_has_a_point_every_twenty_centimetres() -> None:
+    """Where nobody knows the place, there is none."""
+    show = shown_mission()
+    first = short_plan().waypoints[0]
+    frame = LocalFrame(first.latitude_deg, first.longitude_deg)
+
+    def place(latitude: float, longitude: float) -> Position:
+        return position(latitude=latitude, longitude=longitude)
+
+    places: list[Any] = [
+        place(*frame.to_geodetic(0.0, east)) for east in (0.0, 0.15, 0.25, 0.3, 0.5)
+    ]
+    places[1:1] = [None, place(math.nan, 0.0)]
+
+    async def telemetry(kind: type, *, policy: Any, rate_hz: float) -> AsyncIterator[Any]:
+        assert (kind, type(policy).__name__, rate_hz) == (Position, "Latest", 4.0)
+        for one in places:
+            yield SimpleNamespace(get=lambda _, one=one: one)
+
+    show._aircraft.telemetry = telemetry
+    await show._follow()
+    assert [round(east, 2) for _, east in show._track] == [0.0, 0.25, 0.5]
+
+
+# -- the simulator on the screen ------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "address"),
+    [
+        ("7000", ("127.0.0.1", 7000)),
+        ("0.0.0.0:0", ("0.0.0.0", 0)),
+        ("x:65535", ("x", 65_535)),
+        ("x:65536", None),
+        ("x:-1", None),
+        ("x", None),
+    ],
+)
+def test_where_a_simulator_listens(text: str, address: tuple[str, int] | None) -> None:
+    if address is None:
+        with pytest.raises(UsageError, match=r"is not \[HOST:\]PORT"):
+            sim._read_address(text)
+    else:
+        assert sim._read_address(text) == address
+
+
+@pytest.mark.parametrize(
+    ("link", "tcp", "ports"),
+    [
+        (None, None, ["pty0", "pty1"]),
+        ("/x/m", None, ["/x/m0", "/x/m1"]),
+        (None, ("h", 7000), ["tcp://h:7000", "tcp://h:7001"]),
+        (None, ("h", 0), ["tcp://h:9", "tcp://h:9"]),
+        ("/x/m", ("h", 7000), ["/x/m0", "/x/m1"]),
+    ],
+)
+async def test_each_simulated_aircraft_has_a_port(
+    monkeypatch: pytest.MonkeyPatch,
+    link: str | None,
+    tcp: tuple[str, int] | None,
+    ports: list[str],
+) -> None:
+    """Numbered from 0, and TCP ports counted up from the one that was named."""
+    served: list[int] = []
+
+    async def serve_tcp(_: object, host: str, number: int) -> Any:
+        assert host == "h"
+        served.append(number)
+        return SimpleNamespace(port=number or 9)
+
+    def pty(driver: object, *, link: Path | None) -> Any:
+        return SimpleNamespace(name=str(link) if link else f"pty{driver}")
+
+    monkeypatch.setattr(sim, "serve_tcp", serve_tcp)
+    monkeypatch.setattr(sim, "PtyPort", pty)
+    plan: Any = SimpleNamespace(link=link and Path(link), tcp=tcp)
+    servers: list[Any] = []
+    assert await sim._open_ports(plan, cast("Any", [0, 1]), servers) == ports
+    assert len(served) == len(servers) == (2 if tcp else 0)
+    assert served == ([7000, 7001] if tcp == ("h", 7000) else [0, 0] if tcp else [])
+
+
+@pytest.mark.parametrize("speed", [0.0, -1.0, 1000.5])
+def test_a_clock_that_cannot_be_is_refused(cli: CommandLine, speed: float) -> None:
+    outcome = cli("sim", "--speed", f"{speed:g}")
+    assert outcome.status == ExitCode.USAGE
+    assert f"speed is above 0 and at most 1000, not {speed:g}" in outcome.err
+
+
+def test_the_screen_of_a_simulator_has_degrees_metres_and_signs() -> None:
+    assert sim._degrees(math.radians(-12.34)) == "-12.3°"
+    assert sim._degrees(math.radians(7.0)) == "+7.0°"
+    assert sim._app(True, True, 7) == "connected, app 7 active"
+    assert sim._app(True, False, None) == "connected, no Internet, not activated"
+    assert sim._app(False, False, None) == "not connected, not activated"
+    flown = {"kind": "waypoint", "is_paused": False, "doing": "flying"}
+    assert sim._mission(flown) == ("waypoint: flying", "", "")
+    flown |= {"is_paused": True, "waypoint": 2, "waypoints": 5}
+    assert sim._mission(flown) == ("waypoint: paused", "waypoint", "2 of 0 to 4")
+
+
+# -- a fleet on the screen ------------------------------------------------------------------------
+
+
+def test_cards_are_told_with_their_units() -> None:
+    cards = {
+        "a1": Card(
+            "a1", "run", 0.0, "connected", holder="anna", task="land", phase="in air",
+            height_m=12.34, battery_percent=63, lost="land", lost_after=2.5,
+        ),
+        "a2": Card("a2", "", 0.0, "lost", fault=RemoteError("M100-X", "no port")),
+    }  # fmt: skip
+    found = rows(fleet_verbs._table(["a1", "a2", "a3"], cards))
+    assert found["a1"] == [
+        *("connected", "in", "air", "12.3", "m", "63", "%", "land", "anna", "land", "after"),
+        *("2.5", "s"),
+    ]
+    assert found["a2"] == ["lost:", "no", "port"]
+    assert found["a3"] == ["no", "answer"]
+
+
+MISSIONS = [
+    ({}, "no mission"),
+    ({"kind": "no mission"}, "no mission"),
+    ({"kind": "hotpoint"}, "a hotpoint, which no operator of the fleet started"),
+    ({"stage": "uploaded", "points": 3}, "uploaded, 0 of 3 waypoints"),
+    (
+        {"stage": "flying", "points": 3, "reached": b"\0\0\1", "elapsed_s": 61.6, "index": 2}
+        | {"distance_m": 12.6},
+        "flying, 2 of 3 waypoints, 62 s, 13 m to waypoint 2",
+    ),
+    (
+        {"stage": "flying", "points": 3, "is_paused": True},
+        "flying, 0 of 3 waypoints, paused, 0 s",
+    ),
+    (
+        {"stage": "over", "points": 3, "fault": RemoteError("M100-X", "it was stopped")},
+        "over, 0 of 3 waypoints: it was stopped",
+    ),
+]
+
+
+@pytest.mark.parametrize(("card", "told"), MISSIONS)
+def test_how_far_a_mission_is_in_words(card: dict[str, Any], told: str) -> None:
+    if "stage" in card:
+        card = card | {"stage": MissionStage(card["stage"])}
+    assert fleet_plans._progress(MissionCard("a1", "run", **card)) == told
+
+
+LEFT: list[tuple[list[Any], Any, AtEnd, str]] = [
+    ([], None, AtEnd.HOVER, "mission not started"),
+    ([], {"has_begun": False}, AtEnd.HOVER, "mission not started"),
+    ([Reached(0)], {"is_over": False}, AtEnd.HOVER, "the stop was not confirmed; it ends with"),
+    ([Reached(0), Reached(1)], {}, AtEnd.HOVER, "mission stopped after 2 of 4 waypoints; it"),
+    ([Finished()], {}, AtEnd.HOVER, "every waypoint was flown"),
+    ([Finished()], {}, AtEnd.LAND, "every waypoint was flown; it was landing"),
+    ([Finished()], {}, AtEnd.GO_HOME, "every waypoint was flown; it was landing"),
+]
+
+
+@pytest.mark.parametrize(("events", "flown", "at_end", "told"), LEFT)
+def test_what_a_command_leaves_of_a_mission_of_a_fleet(
+    events: list[Any], flown: Any, at_end: AtEnd, told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    show = fleet_plans._Show("a1", short_plan(at_end=at_end), as_json=True)
+    for event in events:
+        show.tell(event)
+    assert capsys.readouterr().out.count('"name": "a1"') == len(events)
+    if flown is not None:
+        usual = {"has_begun": True, "is_over": True}
+        show.mission = cast("Any", SimpleNamespace(**(usual | flown)))
+    found = show.stopped()
+    assert found.startswith(f"a1: {told}")
+    assert (found == f"a1: {told}") is ("waypoint was flown" in told or "not started" in told)
