@@ -46,7 +46,7 @@
 
   // What stands over the map stands beside, not over, each other.
   const over = [...document.querySelectorAll(
-    "#header, #bar, .place.hud > *, .place.orders > *, .place.clicked > *, .stick, .legend, .map-tools, .map-home"
+    "#header, #dock, .place.tools, .place.hud, .place.prepared > *, .stick, .legend, .map-tools, .map-home"
   )].filter((one) => isSeen(one) && one.getBoundingClientRect().width);
   const clipped = (one) => {
     const place = one.closest(".place"), b = one.getBoundingClientRect();

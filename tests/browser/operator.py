@@ -60,11 +60,9 @@ async def shows(page: Any, selector: str, text: str) -> None:
 
 async def look_around(page: Any) -> None:
     """What the operator has to say before take-off."""
-    await look_at(page, "check")
     # It is checked when the station has taken it, which a busy machine does in its own time.
     await page.get_by_role("checkbox", name="I have looked").click()
-    await page.wait_for_selector("[data-check=free].right")
-    await look_at(page, "fly")
+    await page.wait_for_selector("#ground [role=checkbox][aria-checked=true]")
 
 
 async def press_until(
@@ -174,8 +172,7 @@ async def press_for(page: Any, name: str, selector: str, text: str) -> None:
 
 
 async def in_control(page: Any) -> None:
-    """Activate, and take control."""
-    await press_for(page, "activate", "#activation", "Activation: active")
+    """Take control, which activates."""
     await press_for(page, "obtain", "#banner", "You have control")
 
 

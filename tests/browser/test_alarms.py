@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from tests.browser.conftest import Console
-from tests.browser.operator import banner, look_at, press_for, press_until, shows
+from tests.browser.operator import banner, hold, look_at, press, press_for, press_until, shows
 
 pytestmark = [pytest.mark.anyio]
 
@@ -70,11 +70,10 @@ async def test_take_off_needs_a_green_checklist_or_a_reason(console: Console) ->
     page = await console.open()
     await set_virtual(page, "GPS health", 2)
     await look_at(page, "check")
-    take_off = "section[data-view=check] [data-act=take_off]"
+    take_off = "[data-act=take_off]"
     await shows(page, "#check-summary", "would refuse")
-    await page.click("section[data-view=check] [data-act=activate]")
+    await press(page, "obtain")
     await page.wait_for_selector("[data-check=activation].right")
-    await page.click("section[data-view=check] [data-act=obtain]")
     await page.wait_for_selector("[data-check=control].right")
     await page.get_by_role("checkbox", name="I have looked").click()
     await page.wait_for_selector("[data-check=free].right")
@@ -84,13 +83,7 @@ async def test_take_off_needs_a_green_checklist_or_a_reason(console: Console) ->
     await page.get_by_label("Why do you take off").fill("a test of weak GPS")
     await page.wait_for_selector(f"{take_off}:not([disabled])")
 
-    async def hold_here(page: Any, _: str) -> None:
-        await page.locator(take_off).hover(position={"x": 10, "y": 10})
-        await page.mouse.down()
-        await asyncio.sleep(2.0)
-        await page.mouse.up()
-
-    await press_until(page, "take_off", lambda: console.watch.height > 0.5, hold_here)
+    await press_until(page, "take_off", lambda: console.watch.height > 0.5, hold)
     await look_at(page, "events")
     await shows(page, "#events", "takes off despite failed checks: GPS")
     await shows(page, "#events", "Reason: a test of weak GPS")
@@ -119,6 +112,5 @@ async def test_what_was_chosen_is_kept_by_the_browser(console: Console) -> None:
     await shows(page, "[data-check=guards]", "164 ft hoch")
     await look_at(page, "fly")
     other = await console.open()
-    await press_for(page, "activate", "#activation", "Aktivierung: aktiv")
     await press_for(page, "obtain", "#banner", "Sie haben die Steuerung")
     await banner(other, "Anna hat die Steuerung")

@@ -212,8 +212,6 @@ async def flight() -> AsyncIterator[Flight]:
             await page.wait_for_function("window.m100?.steering && window.m100.socket.heardAt > 0")
             line.aircraft.pilot_takes_off()
             vehicle = line.aircraft.vehicle
-            await page.click("[data-act=activate]")
-            await until(lambda: vehicle.activation.active is not None)
             await until(lambda: line.aircraft.height > 1.1)
             await page.click("[data-act=obtain]:not([disabled])")
             await until(lambda: vehicle.authority.device is Device.ONBOARD)

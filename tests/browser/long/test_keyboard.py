@@ -81,17 +81,11 @@ def shown(page: Any, selector: str, text: str) -> Callable[[], Awaitable[bool]]:
 async def test_a_whole_mission_by_keyboard_alone(browser: Any, key: str) -> None:
     async with console_in_browser(browser, "--firmware", "3.1") as console:
         page, watch = await console.open(), console.watch
-        fly = "section[data-view=fly] "
-        await press(page, f"{fly}[data-act=activate]", key)
-        await shows(page, "#activation", "active")
-        await press(page, f"{fly}[data-act=obtain]", key)
+        await press(page, "[data-act=obtain]", key)
         await banner(page, "You have control")
-        await press(page, "[data-go=check]", key)
-        await press(page, "#free-said", "Space")
-        await page.wait_for_selector("[data-check=free].right")
-        await press(page, "#bar [data-go=fly]", key)
-        await hold(page, f"{fly}[data-act=take_off]", key, seen(lambda: watch.height > 1.0))
-        await page.wait_for_selector(f"{fly}[data-act=land]:not([disabled])")
+        await press(page, "#ground [role=checkbox]", "Space")
+        await hold(page, "[data-act=take_off]", key, seen(lambda: watch.height > 1.0))
+        await page.wait_for_selector("[data-act=land]:not([disabled])")
         await go(page, "#pad")
         await hold_key(page, "w", lambda: watch.speed[1] > 0.3)
         await page.keyboard.up("w")
@@ -109,7 +103,7 @@ async def test_a_whole_mission_by_keyboard_alone(browser: Any, key: str) -> None
         await until(lambda: is_still(console))
         await press(page, "[data-act=stop]", key)
         await press(page, "#bar [data-go=fly]", key)
-        await hold(page, f"{fly}[data-act=land]", key, seen(lambda: watch.status == 1))
+        await hold(page, "[data-act=land]", key, seen(lambda: watch.status == 1))
         await page.wait_for_function("document.querySelector('#task').textContent === ''")
-        await press(page, f"{fly}[data-act=release]", key)
+        await press(page, "[data-act=release]", key)
         await banner(page, "Nobody has control")

@@ -76,9 +76,9 @@ async def test_stop_is_answered_by_either_path_and_reported_when_both_are_cut(
 async def test_an_answer_that_comes_late_ends_the_report(console: Console) -> None:
     page = await console.open()
     await page.evaluate("window.socket.disconnect()")
-    await press(page, "activate")
+    await press(page, "obtain")
     await page.wait_for_selector("#unanswered:visible")
-    await shows(page, "#unanswered-said", "Activate")
+    await shows(page, "#unanswered-said", "Obtain control")
     await page.evaluate("window.socket.connect()")
     await page.wait_for_selector("#unanswered", state="hidden")
     await look_at(page, "events")

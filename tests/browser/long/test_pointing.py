@@ -130,7 +130,7 @@ async def _confirm_until_there(page: Any, target: tuple[float, float]) -> None:
             "document.querySelector('#guided-flying')?.textContent.includes('Flies to the point')"
             " || document.querySelector('#problem')?.textContent"
         )
-        await page.wait_for_selector("#guided", state="hidden")
+        await page.wait_for_selector("#guided-flying", state="hidden")
         if distance_m(*await position(page), *target) < 1.0:
             return
         await page.wait_for_function("document.querySelector('#problem')?.textContent")
@@ -191,7 +191,7 @@ async def test_a_hold_flies_nothing_when_the_point_changed_meanwhile(browser: An
         await page.evaluate("(place) => emitEvent('map_pointed', {view: 'fly', place})", place)
         await asyncio.sleep(1.8)
         await page.mouse.up()
-        await shows(page, "#click-refusals", "the point changed while the button was held")
+        await shows(page, "#problem", "the point changed while the button was held")
         assert is_still(console)
         assert distance_m(*await position(page), *before) < 1.0
         await _confirm_until_there(page, (place[0], place[1]))

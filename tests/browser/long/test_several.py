@@ -99,10 +99,6 @@ async def _turns_and_leaves_it_hovering(two: Two, page: Any) -> None:
 
 
 async def _flies_the_other(two: Two, page: Any) -> None:
-    await press(page, "activate")
-    await page.wait_for_function(
-        "document.querySelector('#activation').textContent.includes('active')"
-    )
     await press(page, "obtain")
     await banner(page, "You have control")
     await page.wait_for_function("document.querySelectorAll('.ship.mine').length === 2")

@@ -28,7 +28,7 @@ async def refused(console: Console) -> Any:
     await look_at(page, "settings")
     await page.click("#sim-refuse")
     await look_at(page, "fly")
-    await press(page, "activate")
+    await press(page, "obtain")
     await page.wait_for_selector("#problem:not(:empty)")
     return page
 

@@ -1,7 +1,7 @@
-"""The shell of the page: header, views, STOP. A view consists of parts.
+"""The shell of the page: header, views, orders, STOP. A view consists of parts.
 
-Header and bottom bar are there at every size and above every dialog: the status line at the top,
-the views and STOP at the bottom, where a thumb is.
+Header and dock are there in every view, at every size and above every dialog: who has control and
+the values at the top; orders, views and STOP at the bottom, where a thumb is.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from m100link.apps.station.console.components.data import (
     PlotsPart,
     TelemetryPart,
 )
-from m100link.apps.station.console.components.fly import ChecklistPart, Fly
+from m100link.apps.station.console.components.fly import ChecklistPart, Fly, StripPart
 from m100link.apps.station.console.components.header import (
     AlarmsPart,
     FleetPart,
@@ -114,7 +114,9 @@ class Page:
             header: tuple[_Make, ...] = (FleetPart, StatusPart, AlarmsPart, ReplayPart)
             self._header = [make(self._context) for make in header]
         self._context.buttons.add("stop", "actions.stop", self._tab.stop, kind="stop")
-        self._build_bar()
+        with ui.element("div").props("id=dock"):
+            StripPart(self._context)
+            self._build_bar()
         with ui.element("main").props("id=stage"):
             with ui.element("div").props("id=map-view"):
                 self._map = MapPart(self._context)

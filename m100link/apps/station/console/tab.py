@@ -39,7 +39,7 @@ BEAT_LIFETIME = 0.3  # seconds that a beat lasts
 SPENT_AFTER = 1.0
 """Seconds of the page without a beat after which it has let go of everything by itself."""
 
-TERMS = Terms(activates=False, begins_anew=True, who="this page", remedy="obtain control first")
+TERMS = Terms(begins_anew=True, who="this page", remedy="obtain control first")
 
 # Why a hand that still holds a key has to let go, by the state of control.
 _HAS_TO_LET_GO = {
@@ -75,7 +75,9 @@ class Tab:
         self._last_number = -1
         self.way = ClockEstimate(PAGE_GRAIN)
         self._press = Press()
-        self._stopped_at = -math.inf
+        # The number of the newest order of this tab that moves the aircraft or ends a motion, and
+        # was not refused; beats count. What it replaced did not fail.
+        self._count = self._newest = 0
         self._complained_at = -math.inf
         self._stopping: asyncio.Task[Any] | None = None  # one at a time, however often it is said
         # Why a hand that holds a key moves nothing until it lets go. Empty when it may.
@@ -108,23 +110,29 @@ class Tab:
 
     # -- what the buttons do ---------------------------------------------------------------------
 
-    async def attempt(self, work: Callable[[], Awaitable[Any]]) -> bool:
+    async def attempt(self, work: Callable[[], Awaitable[Any]], *, replaces: bool = True) -> bool:
         """Do something for the operator; a failure is kept as the problem.
 
-        Work that this tab's own STOP ended is no failure.
+        Work that a later order of this tab ended, such as STOP, is no failure. ``replaces``:
+        whether this is such an order.
         """
-        self.refusal, began = None, self._agent.now
+        self.refusal, before = None, self._newest
+        mine = self._replace() if replaces else before
         try:
             await work()
         except M100Error as error:
-            if not self.has_ended(error, began):
-                self.refusal = error
+            if isinstance(error, NotObserved) and replaces and mine != self._newest:
+                return False
+            self.refusal = error
+            if mine == self._newest:
+                self._newest = before  # it was refused: what flew before goes on
             return False
         return True
 
-    def has_ended(self, error: M100Error, began: float) -> bool:
-        """Whether an order of ``began``, on the agent's clock, ended by this tab's own STOP."""
-        return isinstance(error, NotObserved) and self._stopped_at >= began
+    def _replace(self) -> int:
+        self._count += 1
+        self._newest = self._count
+        return self._newest
 
     async def stop(self, press: object = None) -> None:
         """Stop. Any tab may."""
@@ -142,7 +150,7 @@ class Tab:
                 return task
             work = self.attempt(self.session.stop)
             task = self._agent.background.spawn(work, f"stop of {self.session.name}")
-        self._stopping, self._stop_press, self._stopped_at = task, press, self._agent.now
+        self._stopping, self._stop_press = task, press
         return task
 
     def check_order(self, said_at: object) -> None:
@@ -283,6 +291,8 @@ class Tab:
             )
             self._press.passed(now)
             self.session.steer(setpoint, BEAT_LIFETIME)
+            if self._agent.state.guided is not None:
+                self._replace()
             self.beats += 1
         except M100Error as error:
             self.session.heard()  # the operator is there

@@ -31,8 +31,9 @@ from m100link.apps.agent.lease import LeaseChange, LeaseHeld
 from m100link.apps.station.console.tab import BEAT_LIFETIME, Fate, Tab, _read
 from m100link.apps.station.console.view.fly import FIELDS, live, read
 from m100link.apps.station.console.view.texts import Translator, tr
-from m100link.errors import GuardRefused, LossReason, NoAuthority, NotObserved
+from m100link.errors import GuardRefused, LossReason, NoAuthority
 from m100link.protocol.records import Attitude, RcMode, Velocity
+from m100link.sim.orders import perform
 from tests.apps.station.conftest import Rig
 from tests.known import seen
 
@@ -355,14 +356,62 @@ async def test_stop_ends_a_task_by_giving_authority_back(rig: Rig) -> None:
     assert not rig.agent.holding.has_authority
 
 
+CLIMB = orders.ChangeHeight(20.0)
+
+REPLACED = {
+    "stop": lambda tab: tab.stop(),
+    "pause": lambda tab: tab.attempt(lambda: hovers(tab)),
+    "another place": lambda tab: tab.attempt(lambda: tab.session.ask(orders.ChangeHeight(2.0))),
+    "land": lambda tab: tab.attempt(lambda: tab.session.ask(orders.Land())),
+}
+
+
+async def hovers(tab: Tab) -> None:
+    tab.agent.hover("pause", tab.session.lease)
+
+
+@pytest.mark.parametrize("by", [*REPLACED, "stick"])
+async def test_what_an_order_of_the_same_tab_ended_did_not_fail(rig: Rig, by: str) -> None:
+    browser = await airborne(rig)
+    tab = browser.tab
+    async with anyio.create_task_group() as group:
+        climb = rig.front.background.spawn(tab.attempt(lambda: tab.session.ask(CLIMB)), "climb")
+        await rig.until(lambda: rig.front.state.guided is not None)
+        if by == "stick":
+            await browser.hold(0.5, x=-1)
+        else:
+            group.start_soon(REPLACED[by], tab)
+        await rig.until(climb.done)
+        assert not climb.result()
+        assert browser.problem == ""
+        group.cancel_scope.cancel()
+
+
+@pytest.mark.parametrize("refused", [False, True])
+async def test_what_somebody_else_ended_is_reported(rig: Rig, refused: bool) -> None:
+    """Also when the tab gave an order meanwhile, and that was refused, or moves nothing."""
+    browser = await airborne(rig)
+    tab = browser.tab
+    climb = rig.front.background.spawn(tab.attempt(lambda: tab.session.ask(CLIMB)), "climb")
+    await rig.until(lambda: rig.front.state.guided is not None)
+    if refused:
+        assert not await tab.attempt(lambda: tab.session.ask(orders.StartMission("no plan")))
+    else:
+        assert await tab.attempt(tab.session.obtain, replaces=False)
+    rig.front.hover("console 7: pause")
+    await rig.until(climb.done)
+    assert "console 7: pause" in browser.problem
+
+
 async def test_problems_are_kept_for_the_operator(rig: Rig) -> None:
     browser = Browser(rig)
+    perform(rig.aircraft, "server-refuses on")
     assert not await browser.tab.attempt(browser.tab.session.obtain)
-    assert "activate first" in browser.problem
+    assert "server" in browser.problem
     assert not browser.tab.session.has_lease
-    await browser.tab.attempt(lambda: browser.tab.session.ask(orders.Activate()))
+    perform(rig.aircraft, "server-refuses off")
+    assert await browser.tab.attempt(browser.tab.session.obtain)  # which activates
     assert browser.problem == ""
-    assert await browser.tab.attempt(browser.tab.session.obtain)
     assert not await browser.tab.attempt(lambda: browser.tab.session.ask(orders.FlyPattern(3)))
     assert "random commands" in browser.problem
     browser.beat(x=-36)
@@ -406,7 +455,7 @@ async def test_fields_grey_out_by_their_own_age(rig: Rig) -> None:
     await anyio.sleep(1.5)
     readings = {field.name: read(field, seen(telemetry)) for field in FIELDS}
     assert not readings["height"].is_stale
-    assert Translator()(readings["flight_status"].text) == "standby"
+    assert Translator()(readings["flight_status"].text) == "on the ground"
     assert readings["control_device"].note == tr("instruments.never")  # not sent by default
     rig.aircraft.stall_line()
     await anyio.sleep(1.7)
@@ -638,10 +687,6 @@ async def test_a_button_that_was_pressed_before_stop_and_came_after_it_is_refuse
         browser.tab.check_order(1000 * now)
     rig.front.stopped_at = math.nextafter(oldest, 0.0)
     browser.tab.check_order(1000 * now)
-    failed = NotObserved("the task was ended")
-    began = rig.front.now
-    await browser.tab.stop()
-    assert browser.tab.has_ended(failed, began)
 
 
 async def test_a_press_counts_from_when_it_was_made_in_the_page(rig: Rig) -> None:

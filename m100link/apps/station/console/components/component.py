@@ -12,12 +12,12 @@ from nicegui import events, ui
 from nicegui.events import GenericEventArguments
 
 from m100link.apps.agent.client import AgentClient
-from m100link.apps.agent.orders import Activate, TakeOff
+from m100link.apps.agent.orders import ChangeHeight, TakeOff
 from m100link.apps.station.console.kept import PlotHistory
 from m100link.apps.station.console.orders import SimulatorOrders
 from m100link.apps.station.console.tab import Tab
 from m100link.apps.station.console.tabs import Tabs
-from m100link.apps.station.console.view.fly import HELD, FieldReading
+from m100link.apps.station.console.view.fly import HELD, TAKE_OFF_HEIGHT, FieldReading
 from m100link.apps.station.console.view.texts import (
     DisplaySettings,
     QuantityKind,
@@ -69,6 +69,14 @@ class Wording:
             made.on("click", work, args=[])
         return made
 
+    def tool(self, key: str, icon: str, props: str) -> ui.element:
+        """A button with an icon, whose name is read aloud and shown by a mouse that rests on it."""
+        with ui.element("button").props(f"type=button {props}") as made:
+            ui.icon(icon).props("aria-hidden=true")
+        for name in ("title", "aria-label"):
+            self.put(attribute(made, name), key)
+        return made
+
     def card(self, key: str) -> ui.element:
         """A box with a title; to be used as ``with``."""
         box = ui.element("section").classes("card w-full")
@@ -116,7 +124,10 @@ def attribute(element: ui.element, name: str = "aria-label") -> Callable[[str], 
 
 # -- buttons that give orders ----------------------------------------------------------------------
 
-_ENDS = frozenset({"stop", "release", "mission_pause", "mission_stop"})
+_STAYS = frozenset({"obtain", "mission_upload"})
+"""Orders beside which everything that flies goes on."""
+
+_ENDS = frozenset({"stop", "pause", "release", "mission_stop"})
 """Orders that end a motion: the page gives them however late they come."""
 
 
@@ -194,7 +205,8 @@ class Buttons:
 
             # The page goes on while the aircraft flies.
             whose = f"{name} of {self._tab.session.name}"
-            self._agent.background.spawn(self._tab.attempt(order), whose)
+            attempt = self._tab.attempt(order, replaces=name not in _STAYS)
+            self._agent.background.spawn(attempt, whose)
             await asyncio.sleep(0)
 
         # A tap with a second finger makes no click: STOP has an event that the page makes of it.
@@ -357,20 +369,24 @@ class PageContext:
     history: PlotHistory  # the last minutes of every number
     tabs: Tabs  # who looks at this and at other aircraft
 
-    async def activate(self) -> None:
-        """Activate the aircraft. Raises ``M100Error``: what the agent tells."""
-        await self.tab.session.ask(Activate())
-
     async def take_off(self) -> None:
-        """Take off, if the checklist offers it; why it is not green goes into the events.
+        """Take off to the chosen height, if the checklist offers it.
 
-        Raises ``UsageError``: it does not. Raises ``M100Error``: what the agent tells.
+        Why it is not green goes into the events.
+
+        Raises ``UsageError``: it does not, or the limits end below that height. Raises
+        ``M100Error``: what the agent tells.
         """
         checklist = self.memory.checklist.look(self.memory.situation)
         if not checklist.may_take_off:
             raise UsageError(
                 "take-off is not offered: the checklist is not green",
                 remedy="fix what it shows, or write there why you take off anyway",
+            )
+        height, most = self.memory.checklist.height, self.agent.state.limits.max_height_m
+        if most is not None and height > most:
+            raise UsageError(
+                f"take-off to {height:g} m: the limit is {most:g} m", remedy="choose a lower height"
             )
         if not checklist.is_green:
             english = Translator()
@@ -385,6 +401,8 @@ class PageContext:
             )
             self.agent.note(english(said), "warning")
         await self.tab.session.ask(TakeOff())
+        if height > TAKE_OFF_HEIGHT:
+            await self.tab.session.ask(ChangeHeight(height))
 
     def here(self) -> tuple[float, float] | None:
         """Where the aircraft is: latitude and longitude, °; None when nobody knows."""

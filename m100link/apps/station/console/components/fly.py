@@ -2,41 +2,41 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 from nicegui import ui
-from nicegui.events import GenericEventArguments
 
-from m100link.apps.agent.lease import LeaseHeld
-from m100link.apps.agent.orders import FlyPattern, GoHome, Land
+from m100link.apps.agent.orders import GoHome, Land, PauseMission
 from m100link.apps.station.console.components import component
 from m100link.apps.station.console.components.map import ClickPart
-from m100link.apps.station.console.tab import Tab
 from m100link.apps.station.console.view import fly
-from m100link.apps.station.console.view.texts import Text, tr
+from m100link.apps.station.console.view.texts import QuantityKind, Text, tr
 from m100link.apps.station.console.view.view_model import ViewModel
-from m100link.errors import M100Error
+
+_TOOLS = (("horizon", "explore"), ("sticks", "gamepad"))
+"""The panels that fold: the page does it by itself, and keeps what was chosen."""
 
 
 class Fly:
     def __init__(self, page: component.PageContext) -> None:
-        made: tuple[tuple[str, Callable[[component.PageContext], component.Component]], ...] = (
-            ("hud", InstrumentsPart),
-            ("orders", ActionsPart),
-            ("clicked", ClickPart),
-        )
-        self._parts = []
-        for place, make in made:
-            with _place(place):
-                self._parts.append(make(page))
+        wording = page.wording
+        with _place("tools") as tools:
+            for name, icon in _TOOLS:
+                wording.tool(f"page.fold.{name}", icon, f"data-fold={name}")
+        with _place("hud"):
+            horizon = ui.element("canvas").props("id=horizon role=img")
+            wording.put(component.attribute(horizon), "instruments.horizon")
+        with _place("prepared"):
+            self._click = ClickPart(page, tools)
+            self._ground = GroundPart(page)
         with _place("steering"):
-            _build_sticks(page.wording)
+            _build_sticks(wording)
 
     def update(self, view: ViewModel) -> None:
-        for part in self._parts:
-            part.update(view)
+        """One thing is prepared at a time."""
+        self._click.update(view)
+        self._ground.update(view, is_covered=self._click.is_open)
 
 
 def _place(name: str) -> ui.element:
@@ -73,12 +73,11 @@ def _build_legend(wording: component.Wording) -> None:
         wording.label("page.legend.keys").classes("keys")
         with ui.element("div").classes("choices"):
             _build_step(wording, "slower", "−")
-            wording.put(_span().set_content, "page.legend.speed")
+            wording.label("page.legend.speed").classes("hint")
             ui.element("output").props("data-level")
             _build_step(wording, "faster", "+")
             with ui.element("button").props("type=button data-steer=mode"):
-                wording.put(_span().classes("mode").set_content, "page.legend.mode")
-                ui.element("b").props("data-mode")
+                ui.element("span").props("data-mode")
                 ui.element("span").classes("hint").props("data-hint")
 
 
@@ -86,85 +85,6 @@ def _build_step(wording: component.Wording, what: str, sign: str) -> None:
     with ui.element("button").props(f"type=button data-steer={what}") as step:
         ui.label(sign).props("aria-hidden=true")
     wording.put(component.attribute(step), f"page.legend.{what}")
-
-
-def _span() -> ui.html:
-    return ui.html("", sanitize=False, tag="span")
-
-
-# -- the instruments over the map ------------------------------------------------------------------
-
-_SHOWN = ("flight_status", "battery", "gps", "height", "speed", "mode_switch")
-
-
-class InstrumentsPart:
-    """The flight instruments; ``static/instruments.js`` draws the canvas from the socket."""
-
-    def __init__(self, page: component.PageContext) -> None:
-        horizon = ui.element("canvas").props("id=horizon role=img")
-        page.wording.put(component.attribute(horizon), "instruments.horizon")
-        with ui.element("div").classes("values"):
-            names = [one.name for one in fly.FIELDS if one.name in _SHOWN]
-            self._rows = {name: component.ReadingRow(name, page.wording) for name in names}
-
-    def update(self, view: ViewModel) -> None:
-        for name, row in self._rows.items():
-            row.show(view.instruments.readings[name])
-
-
-# -- the question whether to take control from somebody --------------------------------------------
-
-
-class TakeOverDialog:
-    """Obtains control, and asks when somebody has it."""
-
-    def __init__(self, tab: Tab, wording: component.Wording) -> None:
-        self._tab, self._wording = tab, wording
-        # The order runs in the background, where no element can be made.
-        self._is_wanted = False
-
-    async def obtain(self) -> None:
-        """Obtain control; if somebody has it, ask with the next update."""
-        try:
-            await self._tab.session.obtain()
-        except LeaseHeld:
-            self._is_wanted = True
-
-    def update(self) -> None:
-        if self._is_wanted:
-            self._is_wanted = False
-            ui.timer(0.0, self._ask, once=True)
-
-    async def _ask(self) -> None:
-        try:
-            wanted = await self._tab.session.ask_take_over()
-        except M100Error:
-            return  # it is free by now
-        with ui.dialog() as dialog, ui.card():
-            asked = self._wording(tr("page.take_over", name=wanted.from_name))
-            ui.label(asked).props("id=take-over")
-            ui.label(self._wording(tr("page.take_over.effect")))
-            with ui.row():
-
-                async def confirm(event: GenericEventArguments) -> None:
-                    said = component.answer(event)
-                    dialog.close()
-
-                    async def order() -> None:
-                        self._tab.check_order(said.get("at"))
-                        await self._tab.session.confirm(wanted)
-
-                    await self._tab.attempt(order)
-
-                for name, kind in (("confirm", "danger"), ("leave", "plain")):
-                    with ui.element("button").classes(f"act {kind}") as button:
-                        ui.label(self._wording(Text(f"page.take_over.{name}")))
-                    button.props(f"type=button id={name}")
-                    if name == "confirm":
-                        button.on("click", confirm, js_handler=component.ORDER)
-                    else:
-                        button.on("click", dialog.close, args=[])
-        dialog.open()
 
 
 # -- before take-off -------------------------------------------------------------------------------
@@ -187,24 +107,16 @@ class ChecklistPart:
 
     def __init__(self, page: component.PageContext) -> None:
         self._page = page
-        self._take_over = TakeOverDialog(page.tab, page.wording)
         wording, checklist = page.wording, page.memory.checklist
         with wording.card("checklist.title"):
             self._summary = ui.label().classes("summary").props("id=check-summary role=status")
             with ui.element("ul").classes("checks").props("id=checks"):
                 self._rows = {item: self._build_row(item) for item in fly.ITEMS}
-            free = ui.checkbox(on_change=lambda event: self._say_free(is_free=bool(event.value)))
-            self._free = free.props("id=free-said").classes("free")
-            wording.put(self._free.set_text, "checklist.free.box")
+            self._free = FreeBox(page)
             self._why = ui.input(on_change=lambda event: checklist.say_why(str(event.value or "")))
             self._why.props("for=why outlined maxlength=200").classes("w-full")
             wording.put(lambda text: self._why.props(f'label="{text}"'), "checklist.why")
             wording.put(lambda text: self._why.props(f'hint="{text}"'), "checklist.why.note")
-            with ui.element("div").classes("acts"):
-                add = page.buttons.add
-                add("activate", "actions.activate", page.activate, kind="plain")
-                add("obtain", "actions.obtain", self._take_over.obtain, kind="plain")
-                add("take_off", "actions.take_off", page.take_off)
 
     def _build_row(self, item: fly.ChecklistItem) -> _Row:
         wording = self._page.wording
@@ -220,21 +132,12 @@ class ChecklistPart:
                 remedy = ui.label().classes("remedy")
         return _Row(box, shape, state, seen, remedy)
 
-    def _say_free(self, *, is_free: bool) -> None:
-        page, checklist, now = self._page, self._page.memory.checklist, self._page.agent.now
-        if is_free is checklist.is_free(now):
-            return  # the box follows what was said, and says nothing by itself
-        checklist.say_free(now, is_free=is_free)
-        page.tabs.looks.say(page.tab.person, page.tab.aircraft, page.agent, is_free=is_free)
-
     def update(self, view: ViewModel) -> None:
-        self._take_over.update()
         checklist, wording = view.checklist, self._page.wording
         for check in checklist.checks:
             self._show(self._rows[check.item], check)
         self._summary.set_text(wording(_summary(checklist)))
-        if bool(self._free.value) is not checklist.is_free_said:
-            self._free.set_value(checklist.is_free_said)
+        self._free.update(checklist)
         self._why.set_visibility(not checklist.is_green and checklist.is_possible)
         if not checklist.reason and self._why.value and view.checklist.is_green:
             self._why.set_value("")
@@ -258,49 +161,83 @@ def _summary(checklist: fly.Checklist) -> Text:
     return tr("checklist.missing", count=len(checklist.missing))
 
 
-# -- the buttons that one flies with ---------------------------------------------------------------
-
-_SIMPLE = (0, 1, 4)
-
-
-class ActionsPart:
-    """Control, take-off, landing, go home and simple tasks."""
+class FreeBox:
+    """The operator's word that the place is free; it stands wherever a take-off is prepared."""
 
     def __init__(self, page: component.PageContext) -> None:
         self._page = page
-        self._take_over = TakeOverDialog(page.tab, page.wording)
+        self._box = ui.checkbox(on_change=lambda event: self._say(is_free=bool(event.value)))
+        page.wording.put(self._box.classes("free").set_text, "checklist.free.box")
+
+    def _say(self, *, is_free: bool) -> None:
+        page, checklist, now = self._page, self._page.memory.checklist, self._page.agent.now
+        if is_free is checklist.is_free(now):
+            return  # the box follows what was said, and says nothing by itself
+        checklist.say_free(now, is_free=is_free)
+        page.tabs.looks.say(page.tab.person, page.tab.aircraft, page.agent, is_free=is_free)
+
+    def update(self, checklist: fly.Checklist) -> None:
+        if bool(self._box.value) is not checklist.is_free_said:
+            self._box.set_value(checklist.is_free_said)
+
+
+_HEIGHTS = (fly.TAKE_OFF_HEIGHT, 120.0)  # to which a take-off is offered, m
+
+
+class GroundPart:
+    """What a take-off needs, above the strip, while the aircraft stands."""
+
+    def __init__(self, page: component.PageContext) -> None:
+        self._wording, checklist = page.wording, page.memory.checklist
+
+        def choose(height: float | None) -> None:
+            low, high = _HEIGHTS
+            checklist.height = min(max(height or low, low), high)
+
+        with ui.element("div").classes("card ground").props("id=ground") as self._card:
+            component.NumberField(
+                page.wording,
+                "actions.height",
+                "for=take-off-height",
+                kind=QuantityKind.LENGTH,
+                limits=_HEIGHTS,
+                value=checklist.height,
+                changed=choose,
+            )
+            with ui.element("button").props("type=button data-go=check id=why-not") as why_not:
+                self._why_not = ui.label()
+            self._button = why_not.classes("see")
+            why_not.on("click", lambda: page.show("check"), args=[])
+            self._free = FreeBox(page)
+
+    def update(self, view: ViewModel, *, is_covered: bool) -> None:
+        checklist, now = view.checklist, view.situation
+        self._card.set_visibility(
+            now.is_on_ground is not False and not now.is_replay and not is_covered
+        )
+        self._free.update(checklist)
+        self._button.set_visibility(not checklist.may_take_off)
+        self._why_not.set_text(self._wording(tr("actions.why_not", count=len(checklist.missing))))
+
+
+# -- the buttons that one flies with: in every view, and where a thumb is --------------------------
+
+
+class StripPart:
+    def __init__(self, page: component.PageContext) -> None:
+        self._page = page
         tab, add = page.tab, page.buttons.add
-        with ui.element("div").classes("acts"):
-            add("activate", "actions.activate", page.activate, kind="plain")
-            add("obtain", "actions.obtain", self._take_over.obtain)
-            add("release", "actions.release", lambda: tab.session.give_back(), kind="plain")
+        with ui.element("div").props("id=strip role=group") as strip:
             add("take_off", "actions.take_off", page.take_off)
             add("land", "actions.land", lambda: tab.session.ask(Land()))
             add("go_home", "actions.go_home", lambda: tab.session.ask(GoHome()))
-        with ui.element("div").classes("acts simple"):
-            add(
-                "simple_task",
-                "actions.simple_task",
-                lambda: tab.session.ask(FlyPattern(int(self._number.value))),
-            )
-            self._number = ui.select(list(_SIMPLE), value=0).classes("task-number")
-            self._number.props("dense outlined id=task-number")
-            keys = {number: f"page.simple.{number}" for number in _SIMPLE}
-            page.wording.options(self._number, keys)
-            page.wording.put(component.attribute(self._number), "page.which_task")
-        # Behind the buttons: it comes and goes, and they stay where the finger is.
-        with ui.element("div").classes("told"):
-            self._activation = ui.label().props("id=activation")
-            with ui.element("button").props("type=button data-go=check id=why-not") as why_not:
-                self._why_not = ui.label()
-            self._why_not_button = why_not.classes("see")
-            why_not.on("click", lambda: page.show("check"), args=[])
+            add("pause", "actions.pause", self._pause, kind="plain")
+        page.wording.put(component.attribute(strip), "actions.title")
 
-    def update(self, view: ViewModel) -> None:
-        self._take_over.update()
-        wording = self._page.wording
-        self._activation.set_text(wording(view.activation))
-        missing = len(view.checklist.missing)
-        is_asked = view.situation.is_on_ground is not False and not view.checklist.may_take_off
-        self._why_not_button.set_visibility(is_asked)
-        self._why_not.set_text(wording(tr("actions.why_not", count=missing)))
+    async def _pause(self) -> None:
+        """The aircraft hovers: a mission waits, a flight to a point ends."""
+        agent, session = self._page.agent, self._page.tab.session
+        if agent.state.guided is None:
+            await session.ask(PauseMission())
+        else:
+            agent.hover(f"{session.name}: pause", session.lease)

@@ -10,13 +10,23 @@ from typing import Any
 from nicegui import events, ui
 from nicegui.events import GenericEventArguments
 
+from m100link.apps.agent.lease import LeaseHeld
 from m100link.apps.agent.orders import OrderReplay
-from m100link.apps.station.console.components.component import ORDER, PageContext, answer, attribute
+from m100link.apps.station.console.components.component import (
+    ORDER,
+    PageContext,
+    ReadingRow,
+    Wording,
+    answer,
+    attribute,
+)
+from m100link.apps.station.console.tab import Tab
 from m100link.apps.station.console.view.alarms import ActiveAlarm, AlarmName, AlarmState
 from m100link.apps.station.console.view.header import SPEEDS, FleetRow, ReplayView
 from m100link.apps.station.console.view.situation import AlarmLevel
 from m100link.apps.station.console.view.texts import DisplaySettings, Text, tr
 from m100link.apps.station.console.view.view_model import ViewModel
+from m100link.errors import M100Error
 
 # -- the status line -------------------------------------------------------------------------------
 
@@ -29,23 +39,32 @@ SHAPES = {
 """Beside its colour each level has a shape: not everybody sees colours."""
 
 
+_VALUES = {
+    "battery": "battery_std",
+    "gps": "satellite_alt",
+    "height": "height",
+    "speed": "speed",
+}
+"""The values at the top, with their icons; the page itself adds the age of the link."""
+
+
 class StatusPart:
-    """Always on the page, above every view. Its text comes from ``view.status``."""
+    """Always on the page, above every view: who has control, what flies, how it is."""
 
     def __init__(self, page: PageContext) -> None:
         self._page = page
         self._level = ""
         self._since: float | None = None
+        self._take_over = TakeOverDialog(page.tab, page.wording)
         wording = page.wording
-        with ui.element("div").classes("banner").props("id=banner") as self._banner:
-            self._shape = ui.label().classes("shape").props("aria-hidden=true")
-            with ui.element("div").classes("said").props("role=status"):
-                self._text = ui.label().props("id=said")
-                self._remedy = ui.label().classes("remedy").props("id=remedy")
-            # Counted by the page itself; read aloud it would never end.
-            self._counter = ui.label().classes("since").props("aria-hidden=true")
-            self._flies = ui.label().classes("flies").props("id=task role=status")
-            self._virtual = wording.label("status.virtual").classes("virtual").props("id=virtual")
+        with ui.element("div").props("id=top"):
+            self._build_banner()
+            with ui.element("div").props("id=values role=group") as values:
+                self._rows = {name: self._build_value(name, icon) for name, icon in _VALUES.items()}
+                with ui.element("div").classes("chip"):
+                    ui.icon("wifi").props("aria-hidden=true")
+                    wording.field("age", "link.age")
+            wording.put(attribute(values), "instruments.title")
         self._problem = ui.label().classes("problem").props("id=problem role=alert")
         with ui.element("div").classes("page-lost").props("id=page-lost role=alert") as lost:
             with ui.element("div"):
@@ -61,13 +80,44 @@ class StatusPart:
         # When this view was made, on the station's clock: the page knows how old it is.
         self._beat = ui.element("i").props("id=view-beat hidden")
 
+    def _build_banner(self) -> None:
+        with ui.element("div").classes("banner").props("id=banner") as self._banner:
+            self._shape = ui.label().classes("shape").props("aria-hidden=true")
+            with ui.element("div").classes("said").props("role=status"):
+                self._text = ui.label().props("id=said")
+                self._remedy = ui.label().classes("remedy").props("id=remedy")
+            # Counted by the page itself; read aloud it would never end.
+            self._counter = ui.label().classes("since").props("aria-hidden=true")
+            with ui.element("div").classes("pills"):
+                self._phase = ui.label().classes("flies").props("id=phase")
+                self._flies = ui.label().classes("flies").props("id=task role=status")
+                virtual = self._page.wording.label("status.virtual")
+                self._virtual = virtual.classes("flies").props("id=virtual")
+            add = self._page.buttons.add
+            self._controls = {
+                "obtain": add("obtain", "actions.obtain", self._take_over.obtain, kind="plain"),
+                "release": add("release", "actions.release", self._release, kind="plain"),
+            }
+
+    async def _release(self) -> None:
+        await self._page.tab.session.give_back()
+
+    def _build_value(self, name: str, icon: str) -> ReadingRow:
+        with ui.element("div").classes("chip"):
+            ui.icon(icon).props("aria-hidden=true")
+            return ReadingRow(name, self._page.wording)
+
     def update(self, view: ViewModel) -> None:
         line, said = view.status, self._page.wording
+        self._take_over.update()
         self._text.set_text(said(line.text))
         self._remedy.set_text(said(line.remedy) if line.remedy is not None else "")
-        self._flies.set_text(said(line.flies) if line.flies is not None else "")
-        self._virtual.set_visibility(line.is_virtual)
+        self._show_what_flies(view)
         self._problem.set_text("" if view.problem is None else said(view.problem))
+        for name, control in self._controls.items():
+            control.set_visibility(name in view.actions)
+        for name, row in self._rows.items():
+            row.show(view.instruments.readings[name])
         if line.level.value != self._level:
             self._banner.classes(remove=self._level, add=line.level.value)
             self._level = line.level.value
@@ -79,6 +129,70 @@ class StatusPart:
             attribute(self._counter, "data-since")("" if since is None else f"{since:.1f}")
             self._counter.set_text("")
         attribute(self._beat, "data-at")(f"{self._page.agent.now:.1f}")
+
+    def _show_what_flies(self, view: ViewModel) -> None:
+        """The order that the aircraft carries out, or else whether it flies at all."""
+        said, flies = self._page.wording, view.status.flies
+        phase = view.instruments.readings["flight_status"]
+        is_shown = flies is None and not phase.is_stale
+        self._phase.set_text(said(phase.text) if is_shown else "")
+        self._flies.set_text("" if flies is None else said(flies))
+        self._virtual.set_visibility(view.status.is_virtual)
+
+
+# -- the question whether to take control from somebody --------------------------------------------
+
+
+class TakeOverDialog:
+    """Obtains control, and asks when somebody has it."""
+
+    def __init__(self, tab: Tab, wording: Wording) -> None:
+        self._tab, self._wording = tab, wording
+        # The order runs in the background, where no element can be made.
+        self._is_wanted = False
+
+    async def obtain(self) -> None:
+        """Obtain control; if somebody has it, ask with the next update."""
+        try:
+            await self._tab.session.obtain()
+        except LeaseHeld:
+            self._is_wanted = True
+
+    def update(self) -> None:
+        if self._is_wanted:
+            self._is_wanted = False
+            ui.timer(0.0, self._ask, once=True)
+
+    async def _ask(self) -> None:
+        try:
+            wanted = await self._tab.session.ask_take_over()
+        except M100Error:
+            return  # it is free by now
+        with ui.dialog() as dialog, ui.card():
+            asked = self._wording(tr("page.take_over", name=wanted.from_name))
+            ui.label(asked).props("id=take-over")
+            ui.label(self._wording(tr("page.take_over.effect")))
+            with ui.row():
+
+                async def confirm(event: GenericEventArguments) -> None:
+                    said = answer(event)
+                    dialog.close()
+
+                    async def order() -> None:
+                        self._tab.check_order(said.get("at"))
+                        await self._tab.session.confirm(wanted)
+
+                    await self._tab.attempt(order)
+
+                for name, kind in (("confirm", "danger"), ("leave", "plain")):
+                    with ui.element("button").classes(f"act {kind}") as button:
+                        ui.label(self._wording(Text(f"page.take_over.{name}")))
+                    button.props(f"type=button id={name}")
+                    if name == "confirm":
+                        button.on("click", confirm, js_handler=ORDER)
+                    else:
+                        button.on("click", dialog.close, args=[])
+        dialog.open()
 
 
 # -- alarms in the header --------------------------------------------------------------------------
@@ -311,7 +425,8 @@ class _ShipRow:
     def _stop(self, event: GenericEventArguments) -> None:
         answer(event)
         agent, tab = self._page.tabs.agents[self._name], self._page.tab
-        agent.background.spawn(tab.attempt(agent.stop), f"stop of {tab.session.name}")
+        stop = tab.attempt(agent.stop, replaces=self._name == tab.aircraft)
+        agent.background.spawn(stop, f"stop of {tab.session.name}")
 
     def show(self, row: FleetRow) -> None:
         said = self._page.wording

@@ -25,7 +25,6 @@ from m100link.apps.station.console.view.map import (
 )
 from m100link.apps.station.console.view.texts import DisplaySettings, QuantityKind, Text
 from m100link.apps.station.console.view.view_model import ViewModel
-from m100link.errors import M100Error
 from m100link.protocol.records import Position
 
 # -- the map ---------------------------------------------------------------------------------------
@@ -58,11 +57,7 @@ class MapPart:
                 )
         with ui.element("div").classes("map-tools"):
             for what, icon in _TOOLS:
-                tool = ui.element("button").props(f"type=button data-map={what}")
-                with tool:
-                    ui.icon(icon).props("aria-hidden=true")
-                for name in ("title", "aria-label"):
-                    page.wording.put(attribute(tool, name), f"page.map.{what}")
+                page.wording.tool(f"page.map.{what}", icon, f"data-map={what}")
         ui.label().props("id=map-home").classes("map-home")
 
     def update(self, view: ViewModel) -> None:
@@ -94,20 +89,25 @@ _DRAGGED = {"radius": 1, "yaw_deg": 0}
 class ClickPart:
     """Flies to a point of the map, around it, to a height, to a heading."""
 
-    def __init__(self, page: PageContext) -> None:
+    def __init__(
+        self,
+        page: PageContext,
+        tools: ui.element,  # the place of the button that opens it
+    ) -> None:
         self._page = page
         self._say = page.wording
         self._pointed = Pointed()
         self._shown = Shown()
-        self._problem: M100Error | None = None
-        self._orders = 0  # given so far: the page shows the end of the newest only
-        self._is_open = False
+        self.is_open = False
         self._drawn = ""
         self._reported: tuple[tuple[MapRefusal, ...], DisplaySettings] | None = (
             None  # and what it was said in
         )
         self._fields: dict[str, ui.element] = {}
         self._numbers: dict[str, NumberField] = {}
+        with tools:
+            self._opener = self._say.tool("click.title", "place", "id=point-open")
+        self._opener.on("click", lambda: self._open(is_open=not self.is_open), args=[])
         self._build()
 
     # -- layout ----------------------------------------------------------------------------------
@@ -117,24 +117,23 @@ class ClickPart:
         self._page.load("overlays.js")
         ui.on("map_pointed", self._clicked)
         ui.on("map_dragged", self._dragged)
-        begin, end = partial(self._open, is_open=True), partial(self._open, is_open=False)
-        self._opener = wording.button("click.title", "id=point-open", begin)
+        self._flying = ui.label().props("id=guided-flying role=status")
         with ui.element("div").classes("card click").props("id=click role=region") as self._card:
             wording.put(attribute(self._card), "click.title")
-            wording.label("click.hint").classes("hint")
-            with ui.element("div").classes("choices").props("role=group"):
-                self._kinds = {kind: self._build_kind(kind) for kind in GuidedKind}
-            self._build_fields()
-            self._preview = ui.label().props("id=click-preview role=status")
-            self._refusals = ui.element("div").props("id=click-refusals role=alert")
-            with ui.element("div").classes("acts"):
+            with ui.element("div").classes("choice"):
+                wording.label("click.hint").classes("hint")
+                with ui.element("div").classes("choices").props("role=group"):
+                    self._kinds = {kind: self._build_kind(kind) for kind in GuidedKind}
+                self._build_fields()
+            # What is confirmed, and the button for it: never scrolled away.
+            with ui.element("div").classes("confirm"):
+                self._preview = ui.label().props("id=click-preview role=status")
+                self._refusals = ui.element("div").props("id=click-refusals role=alert")
                 add = self._page.buttons.add
-                self._fly_button = add("guide", "click.fly", self._fly, check=self._check_shown)
-                wording.button("click.close", "id=point-close", end)
-        with ui.element("div").classes("card guided").props("id=guided") as self._guided:
-            self._flying = ui.label().props("id=guided-flying role=status")
-            self._page.buttons.add("hover", "click.hover", self._hover, kind="plain")
-        self._guided.set_visibility(False)
+                with ui.element("div").classes("acts"):
+                    self._fly_button = add("guide", "click.fly", self._fly, check=self._check_shown)
+                    close = partial(self._open, is_open=False)
+                    wording.button("click.close", "id=point-close", close)
         self._open(is_open=False)
 
     def _build_kind(self, kind: GuidedKind) -> ui.element:
@@ -171,7 +170,6 @@ class ClickPart:
 
     def _turned(self, event: events.ValueChangeEventArguments[Any]) -> None:
         self._pointed = replace(self._pointed, clockwise=bool(event.value))
-        self._problem = None
 
     def _build_slider(self, word: str, number: NumberField, step: float) -> None:
         """The handle to drag; the number and the arrow keys do the same."""
@@ -194,16 +192,16 @@ class ClickPart:
     # -- what the operator does ------------------------------------------------------------------
 
     def _open(self, *, is_open: bool) -> None:
-        self._is_open, self._problem = is_open, None
+        self.is_open = is_open
         self._card.set_visibility(is_open)
-        self._opener.set_visibility(not is_open)
+        self._opener.props(f"aria-pressed={'true' if is_open else 'false'}")
         if is_open:
             self._kind(self._pointed.kind)
         else:
             self._pointed = replace(self._pointed, place=None)
 
     def _kind(self, kind: GuidedKind) -> None:
-        self._pointed, self._problem = replace(self._pointed, kind=kind), None
+        self._pointed = replace(self._pointed, kind=kind)
         for one, choice in self._kinds.items():
             choice.props(f"aria-pressed={'true' if one is kind else 'false'}")
         for name, field in self._fields.items():
@@ -214,7 +212,7 @@ class ClickPart:
             return
         place = event.args.get("place")
         if isinstance(place, list) and len(place) == 2 and all(map(_is_number, place)):
-            if not self._is_open:
+            if not self.is_open:
                 self._take_height()
             self._pointed = self._pointed.at(*place)
             self._open(is_open=True)
@@ -225,9 +223,8 @@ class ClickPart:
         name, value = found.get("name"), found.get("value")
         if not isinstance(name, str) or name not in _DRAGGED:
             return
-        if _is_number(value) and self._is_open and self._page.tab.session.has_lease:
+        if _is_number(value) and self.is_open and self._page.tab.session.has_lease:
             self._pointed = self._pointed.changed(name, round(value, _DRAGGED[name]))
-            self._problem = None
             self._numbers[name].set(getattr(self._pointed, name))
 
     def _take_height(self) -> None:
@@ -238,7 +235,7 @@ class ClickPart:
             self._numbers["height"].set(self._pointed.height)
 
     def _changed(self, name: str, value: float | None) -> None:
-        self._pointed, self._problem = self._pointed.changed(name, value), None
+        self._pointed = self._pointed.changed(name, value)
 
     def _by_distance(self, _: float | None) -> None:
         here, distance, bearing = (self._page.here(), self._distance.value, self._bearing.value)
@@ -247,26 +244,11 @@ class ClickPart:
         self._pointed = self._pointed.by_distance(here, distance, bearing)
 
     def _check_shown(self, shown: object) -> None:
-        try:
-            self._shown.check(shown, self._pointed)
-        except M100Error as error:
-            self._problem = error  # beside the point, too
-            raise
+        self._shown.check(shown, self._pointed)
 
     async def _fly(self) -> None:
-        order, tab = self._pointed.order, self._page.tab
-        if order is None:
-            return
-        self._orders += 1
-        mine, self._problem = self._orders, None
-        began = self._page.agent.now
-        try:
-            await tab.session.ask(order, self._begun)
-        except M100Error as error:
-            if mine == self._orders and not tab.has_ended(error, began):
-                self._problem = error
-                if not self._is_open:
-                    raise  # it flew, and the panel beside which it would stand is closed
+        if (order := self._pointed.order) is not None:
+            await self._page.tab.session.ask(order, self._begun)
 
     def _begun(self) -> None:
         """It flies: what is pointed at now would be the next one."""
@@ -274,32 +256,25 @@ class ClickPart:
             with self._card:
                 self._open(is_open=False)
 
-    async def _hover(self) -> None:
-        self._orders += 1  # an end that was asked for is not a problem
-        session = self._page.tab.session
-        self._page.agent.hover(f"{session.name}: hover", session.lease)
-
     # -- what is shown ---------------------------------------------------------------------------
 
     def update(self, view: ViewModel) -> None:
         agent = self._page.agent
-        order = self._pointed.order if self._is_open else None
+        order = self._pointed.order if self.is_open else None
         has_control = self._page.tab.session.has_control
         foreseen = None
         if order is not None:
             foreseen = preview(order, agent.telemetry, agent.state.limits)
         found = click_of(
-            self._pointed if self._is_open else Pointed(),
+            self._pointed if self.is_open else Pointed(),
             foreseen,
             agent.state.guided,
             has_control=has_control,
-            problem=self._problem,
         )
         self._preview.set_text(self._said(found.preview))
         self._fly_button.set_visibility(found.may_fly)
         self._fly_button.props(f"data-shown={self._shown.show(self._pointed)}")
         self._flying.set_text(self._said(found.flying))
-        self._guided.set_visibility(agent.state.guided is not None)
         self._tell(found.refusals)
         self._draw(found, has_control=has_control)
 
@@ -322,7 +297,7 @@ class ClickPart:
 
     def _draw(self, found: ClickView, *, has_control: bool) -> None:
         drawings = {"pointed": _drawing(found.pointed), "flown": _drawing(found.flown)}
-        wanted = json.dumps(drawings | {"handles": has_control and self._is_open})
+        wanted = json.dumps(drawings | {"handles": has_control and self.is_open})
         if wanted != self._drawn:
             self._drawn = wanted
             draw = f"map.drawPointed({wanted})"

@@ -35,12 +35,13 @@ from m100link.missions.survey import line_spacing
 from m100link.missions.waypoint import AtEnd, Heading, Trace, Waypoint
 
 _FIRST_HEIGHT_M = 20.0
+_PATTERNS = (0, 1, 4)  # the simple tasks that are offered
 
 Place = tuple[float, float]
 
 
 class PlanPart:
-    """Cards beside the map, which shows the way."""
+    """Cards beside the map, which shows the way; what flies a plan stays in sight below them."""
 
     def __init__(self, page: component.PageContext) -> None:
         self._page = page
@@ -62,6 +63,12 @@ class PlanPart:
         ui.on("map_pointed", self._clicked)
         ui.on("plan_moved", self._moved)
         ui.on("plan_chosen", self._picked)
+        with ui.element("div").classes("drawn"):
+            self._build_draft()
+        self._build_mission()
+        self._page.wording.follow(self._show)
+
+    def _build_draft(self) -> None:
         wording = self._page.wording
         with wording.card("plan.title"):
             wording.label("plan.hint").classes("hint")
@@ -77,8 +84,6 @@ class PlanPart:
             wording.put(component.attribute(self._chart), "plan.profile")
         self._whole = WholePart(wording, self._change, self._survey)
         self._build_files()
-        self._build_mission()
-        wording.follow(self._show)
 
     def _build_tools(self) -> None:
         with ui.element("div").classes("choices").props("role=group"):
@@ -113,24 +118,28 @@ class PlanPart:
                 self._tool("export_json", lambda: self._save("json"))
 
     def _build_mission(self) -> None:
-        add = self._page.buttons.add
-        with self._page.wording.card("plan.mission"):
+        add, wording = self._page.buttons.add, self._page.wording
+        with ui.element("section").classes("card mission") as box:
             self._uploaded = ui.label().props("id=plan-uploaded")
             self._plan = ui.label().props("id=plan")
+            self._progress = ui.linear_progress(0.0, show_value=False)
+            self._progress.props("id=mission-progress")
+            self._state = ui.label().props("id=mission role=status")
             with ui.element("div").classes("acts"):
                 add("mission_upload", "plan.upload", self._upload)
                 add("mission_start", "plan.start", self._start)
-                for name, order in (
-                    ("pause", orders.PauseMission()),
-                    ("resume", orders.ResumeMission()),
-                    ("stop", orders.StopMission()),
-                ):
-                    work = partial(self._order, order)
-                    add(f"mission_{name}", f"plan.{name}", work)
-            self._progress = ui.linear_progress(0.0, show_value=False)
-            self._progress.props("id=mission-progress")
-            self._page.wording.put(component.attribute(self._progress), "plan.progress")
-            self._state = ui.label().props("id=mission role=status")
+                add("mission_resume", "plan.resume", partial(self._order, orders.ResumeMission()))
+                add("mission_stop", "plan.stop", partial(self._order, orders.StopMission()))
+                add("simple_task", "actions.simple_task", self._fly_pattern)
+                self._number = ui.select(list(_PATTERNS), value=0).classes("task-number")
+                self._number.props("dense outlined id=task-number")
+        wording.options(self._number, {number: f"page.simple.{number}" for number in _PATTERNS})
+        for element, key in (
+            (box, "plan.mission"),
+            (self._progress, "plan.progress"),
+            (self._number, "page.which_task"),
+        ):
+            wording.put(component.attribute(element), key)
 
     # -- what the operator does ------------------------------------------------------------------
 
@@ -252,6 +261,9 @@ class PlanPart:
     async def _start(self) -> None:
         """Fly the plan that this operator uploaded, and none that somebody else uploaded since."""
         await self._order(orders.StartMission(self._page.tab.session.uploaded))
+
+    async def _fly_pattern(self) -> None:
+        await self._order(orders.FlyPattern(int(self._number.value)))
 
     async def _order(self, order: orders.Order) -> None:
         await self._page.tab.session.ask(order)

@@ -15,7 +15,7 @@ export function fit(canvas) {
   return [g, width, height];
 }
 
-const TAPE = 46, RATE = 16, TOP = 20;
+const TAPE = 46, RATE = 16, TOP = 20, UNIT = 16;
 const STEPS = {"m": 2, "ft": 5, "m/s": 1, "km/h": 5, "kn": 2};  // of a tape's numbers
 
 export function drawHorizon(canvas, live) {
@@ -115,8 +115,10 @@ function drawTape(g, box, metric, [factor, unit]) {
     g.fillStyle = "#bbb";
     if (value !== undefined) {
       const perUnit = 24 / step, reach = height / 2 / perUnit;
-      for (let at = Math.ceil((value - reach) / step) * step; at <= value + reach; at += step)
-        g.fillText(at, width / 2, height / 2 - (at - value) * perUnit + 4);
+      for (let at = Math.ceil((value - reach) / step) * step; at <= value + reach; at += step) {
+        const y = height / 2 - (at - value) * perUnit + 4;
+        if (y < height - UNIT) g.fillText(at, width / 2, y);
+      }
     } else {
       g.strokeStyle = "#ff6b5e";
       g.lineWidth = 2;

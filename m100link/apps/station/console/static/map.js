@@ -3,12 +3,14 @@
 import {length, onChoose, units, words} from "./said.js";
 
 const RADIUS_M = 6378137;
+const isStill = matchMedia("(prefers-reduced-motion: reduce)");
 const radians = (degrees) => degrees * Math.PI / 180;
 const GRID_STEPS = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000];
 const MOVED_M = 0.3;      // between two points of the track
 const TRACK_POINTS = 5000;
 const DRAW_S = 0.1;
 const AHEAD_S = 5;        // of the speed vector
+const EDGE = 30;          // pixels of what is in sight around what is shown
 const HEIGHT_STEP_M = 5;  // of the track's colours
 
 // East and north of a place, m.
@@ -48,6 +50,7 @@ export class FlightMap {
     this.element = element;
     this.follows = true;
     this.isHeadingUp = false;
+    this.aimed = null;  // the place that somebody points at
     this.isPressed = false;  // what somebody aims at does not move away under the finger
     this.turned = 0;  // degrees, as drawn
     this.track = [];
@@ -217,15 +220,20 @@ export class FlightMap {
     frame.setProperty("--x", `${x}px`);
     frame.setProperty("--y", `${y}px`);
     const size = this.leaflet.getSize(), at = this.leaflet.latLngToContainerPoint(this.position);
-    const target = this.isHeadingUp ? size.divideBy(2) : window.L.point(x, y);
-    const off = at.subtract(target);
-    const slack = this.isHeadingUp ? [2, 2] : [(free.right - free.left) / 4, (free.bottom - free.top) / 4];
+    const [wide, high] = [free.right - free.left, free.bottom - free.top];
+    // With a point that somebody aims at, the middle between the two.
+    const between = this.aimed ? this.leaflet.latLngToContainerPoint(this.aimed).subtract(at).divideBy(2) : {x: 0, y: 0};
+    const within = (value, room) => Math.max(-room, Math.min(room, value));
+    const target = this.isHeadingUp ? size.divideBy(2)
+      : window.L.point(x - within(between.x, wide / 2 - EDGE), y - within(between.y, high / 2 - EDGE));
+    const off = at.subtract(target), part = this.aimed ? 8 : 4;
+    const slack = this.isHeadingUp ? [2, 2] : [wide / part, high / part];
     if (Math.abs(off.x) > slack[0] || Math.abs(off.y) > slack[1])
-      this.leaflet.panBy(off, {animate: !this.isHeadingUp && off.distanceTo([0, 0]) < size.y / 2, duration: 0.4});
+      this.leaflet.panBy(off, {animate: !isStill.matches && !this.isHeadingUp && off.distanceTo([0, 0]) < size.y / 2, duration: 0.4});
   }
 }
 
-const OVER_MAP = ".place.steering, .place.hud > *, .place.orders > *, .place.clicked > .card";
+const OVER_MAP = ".place.steering, .place.hud, .place.prepared > *, [data-view=plan] > *";
 let free = {key: "", box: null};
 
 // The most room that nothing covers: as wide and high as can be, and looked for only when something

@@ -75,6 +75,7 @@ export function drawPointed(wanted) {
 }
 
 function redraw(map) {
+  map.aimed = drawn.pointed?.place ?? null;
   for (const name of ["pointed", "flown"]) {
     const {mark, circle, line} = layers[name], {place, radius, yaw} = drawn[name] || {};
     if (name === "pointed" && dragged) continue;

@@ -12,6 +12,7 @@ const HOLD_MS = 1000;
 const SHIFTED_MS = 400;  // so long after the page shifted, a finger is where another button was
 const STOOD_STILL_MS = 500;  // later than this, nobody knows whether the button was held
 
+const FOLDS = "m100link.folds";  // which panels this browser shows
 const PERSON = "m100link.person";  // who looks at this tab, also after a reload
 
 const listeners = [];
@@ -71,6 +72,8 @@ export function start(key) {
   if (location.hash && !named()) comeBack();
   keepAboveKeyboard();
   keepBelowHeader(find("#header"));
+  noteShifts();
+  foldPanels();
   FlightMap.find(find("#map"), (map) => {
     m100.map = map;
     m100.onLive((live) => map.draw(live));
@@ -181,12 +184,43 @@ function holdToPress() {
   window.addEventListener("blur", end);
 }
 
+// What holds a button, or stands below one, came, went or changed its size.
+function noteShifts() {
+  const shifts = new ResizeObserver(() => { shiftedAt = performance.now(); });
+  for (const one of document.querySelectorAll("#dock, .place.prepared > *, .place.steering")) shifts.observe(one);
+}
+
+// Panels over the map that are there when they are wanted; on a desk from the beginning.
+function foldPanels() {
+  const isWide = matchMedia("(min-width: 1000px)").matches, pad = document.querySelector("#pad");
+  let kept = {};
+  try {
+    kept = JSON.parse(localStorage.getItem(FOLDS) || "{}");
+  } catch { /* where nothing may be stored, each page begins anew */ }
+  for (const button of document.querySelectorAll("[data-fold]")) {
+    const name = button.dataset.fold;
+    const show = (isShown) => {
+      document.body.classList.toggle(`with-${name}`, isShown);
+      button.setAttribute("aria-pressed", isShown);
+    };
+    show(kept[name] ?? isWide);
+    button.addEventListener("click", () => {
+      m100.steering.rest();
+      kept[name] = !document.body.classList.contains(`with-${name}`);
+      show(kept[name]);
+      if (name === "sticks" && kept[name]) pad.focus();
+      try {
+        localStorage.setItem(FOLDS, JSON.stringify(kept));
+      } catch { /* as above */ }
+    });
+  }
+}
+
 // The header grows with what it has to say; nothing lies under it.
 function keepBelowHeader(header) {
   let height = 0;
   const fit = () => {
     if (header.offsetHeight === height) return;
-    if (height) shiftedAt = performance.now();
     height = header.offsetHeight;
     document.documentElement.style.setProperty("--top", `${height}px`);
   };

@@ -101,12 +101,12 @@ export class Socket {
 
   watch() {
     const age = this.live ? this.live.age : undefined;
-    fill("age", age === undefined ? "–" : words("age", {seconds: number(age + this.age, 2)}));
+    fill("age", age === undefined ? "–" : words("age", {seconds: number(age + this.age, 1)}));
     document.body.classList.toggle("station-lost", this.isLost);
   }
 }
 
 function fill(name, text) {
-  const field = document.querySelector(`[data-field="${name}"]`);
-  if (field && field.textContent !== text) field.textContent = text;
+  for (const field of document.querySelectorAll(`[data-field="${name}"]`))
+    if (field.textContent !== text) field.textContent = text;
 }

@@ -224,7 +224,7 @@ export class Steering {
     go(axes.forward, north ? "north" : "forward", north ? "south" : "back");
     go(axes.right, north ? "east" : "right", north ? "west" : "left");
     const size = Math.min(1, Math.hypot(axes.forward, axes.right)) * this.level;
-    if (parts.length) parts.push(north ? speed(SPEED_M_S * size) : `${number(ANGLE_DEG * size, 0)}°`);
+    if (parts.length) parts.push(north ? speed(SPEED_M_S * size) : words("tilt", {angle: number(ANGLE_DEG * size, 0)}));
     if (turn) parts.push(words(turn > 0 ? "turn_right" : "turn_left", {rate: number(Math.abs(turn), 0)}));
     if (climb) parts.push(words(climb > 0 ? "climb" : "sink", {speed: speed(Math.abs(climb))}));
     const keys = [...this.held].map((code) => code.slice(3)).join(" ");
@@ -248,7 +248,7 @@ export class Steering {
 
   show() {
     this.pad.querySelector("[data-level]").textContent = this.level;
-    this.pad.querySelector("[data-mode]").textContent = this.mode;
+    this.pad.querySelector("[data-mode]").textContent = words("mode", {mode: this.mode});
     this.pad.querySelector("[data-hint]").textContent =
       words(this.mode === 1 ? "angles_hint" : "velocity_hint");
   }

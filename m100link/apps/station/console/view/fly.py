@@ -28,6 +28,8 @@ FREE_FOR_S = 300.0
 
 LEAST_REASON = 3  # characters of a reason at least
 
+TAKE_OFF_HEIGHT = 1.2  # metres to which the aircraft takes off by itself
+
 _MAX_LINE_TRIP = 0.3
 """Seconds to the aircraft and back; the radio of a good line takes a tenth of it."""
 
@@ -105,8 +107,9 @@ def _quality(now: Situation) -> _Finding:
 
 
 def _activation(now: Situation) -> _Finding:
-    key = "checklist.activation.done" if now.is_activated else "checklist.activation.none"
-    return now.is_activated, tr(key)
+    if now.is_activated:
+        return True, tr("checklist.activation.done")
+    return False, now.activation_problem or tr("checklist.activation.none")
 
 
 def _ground(now: Situation) -> _Finding:
@@ -185,6 +188,7 @@ class ChecklistModel:
     def __init__(self) -> None:
         self._free_said_at = -math.inf
         self._reason = ""
+        self.height = TAKE_OFF_HEIGHT  # metres to which it is to take off
 
     def say_free(self, at: float, *, is_free: bool) -> None:
         """The operator looked around: nobody and nothing is near, and the way up is free."""
@@ -229,14 +233,14 @@ def _check(item: ChecklistItem, is_right: bool | None, seen: Text) -> Check:
 FLIGHTS = frozenset({"take_off", "land", "go_home", "simple_task", "mission_start", "guide"})
 """Orders with which the aircraft begins to fly by itself."""
 
-MISSIONS = frozenset({"mission_pause", "mission_resume", "mission_stop"})
+MISSIONS = frozenset({"mission_resume", "mission_stop"})
 
 HELD = FLIGHTS | {"mission_resume"}
 """Orders to be held for a second: all that make the aircraft fly by itself, home and down too.
 A stray click must not; a second's hold does no harm while the aircraft hovers. One press ends a
 motion."""
 
-ACTIONS = FLIGHTS | MISSIONS | {"stop", "activate", "obtain", "release", "mission_upload", "hover"}
+ACTIONS = FLIGHTS | MISSIONS | {"stop", "pause", "obtain", "release", "mission_upload"}
 """Every button that is an order."""
 
 
@@ -255,16 +259,14 @@ def actions_of(inputs: Inputs, now: Situation, checklist: Checklist) -> frozense
     state = inputs.vehicle.state
     has_control = inputs.has_lease and inputs.vehicle.has_authority
     offered = {"stop"}
-    if now.is_connected:
-        offered.add("activate")
-        if not has_control:
-            offered.add("obtain")
+    if now.is_connected and not has_control:
+        offered.add("obtain")
     if inputs.has_lease:
         offered |= {"release", "mission_upload"}
     if state.guided is not None:
-        offered.add("hover")  # anybody may
+        offered.add("pause")  # anybody may
     if has_control and state.mission not in ("", "no mission"):  # of any program
-        offered |= MISSIONS
+        offered |= MISSIONS | {"pause"}
     elif has_control and not state.task:
         offered |= FLIGHTS
         if now.is_on_ground is not False and not checklist.may_take_off:

@@ -10,9 +10,8 @@ from enum import Enum
 from m100link.apps.agent.client import Hearing
 from m100link.apps.agent.messages import Replay
 from m100link.apps.station.console.view.situation import AlarmLevel, Inputs, Ship, Situation
-from m100link.apps.station.console.view.texts import Quantity, QuantityKind, Text, problem_text, tr
+from m100link.apps.station.console.view.texts import Quantity, QuantityKind, Text, tr
 from m100link.missions.plan import WaypointPlan
-from m100link.protocol.codes import ActivationCode
 from m100link.protocol.records import Battery, Device, Position, RcMode
 from m100link.telemetry.integrity import MAX_TELEMETRY_AGE
 
@@ -209,19 +208,6 @@ def _flies(now: Situation) -> Text | None:
     if now.pattern:
         return tr("status.program", name=now.pattern)
     return None
-
-
-def activation_of(inputs: Inputs) -> Text:
-    """How far activation is; what the aircraft answered, in English."""
-    state = inputs.vehicle.state
-    if state.activation_fault is not None:
-        return tr("status.activation.failed", why=problem_text(state.activation_fault.error()))
-    if state.is_activated:
-        return tr("status.activation.done")
-    if state.activation_code is not None:
-        meaning = ActivationCode(state.activation_code).meaning
-        return tr("status.activation.failed", why=meaning)
-    return tr("status.activation.none")
 
 
 # -- where a replay is, in words -------------------------------------------------------------------

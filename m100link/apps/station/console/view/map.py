@@ -182,14 +182,11 @@ def click_of(
     guided: orders.GuidedFlight | None,
     *,
     has_control: bool,  # whether what this page wants is obeyed
-    problem: M100Error | None = None,
 ) -> ClickView:
     refusals = [] if foreseen is None else [_refusal(error) for error in foreseen.refusals]
     if foreseen is not None and not has_control:
         refusals.insert(0, MapRefusal(None, tr("click.remedy.control")))
     may_fly = foreseen is not None and not refusals
-    if problem is not None and reason_text(problem) not in [one.reason for one in refusals]:
-        refusals.append(_refusal(problem))
     return ClickView(
         preview=None if foreseen is None else _preview(pointed.kind, foreseen),
         refusals=tuple(refusals),

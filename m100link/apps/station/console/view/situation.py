@@ -10,10 +10,19 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 from m100link.apps.agent.client import Hearing, VehicleView
-from m100link.apps.agent.messages import Event, EventTopic, GuardLimits, LeaseChanged, LinkCounted
+from m100link.apps.agent.messages import (
+    Event,
+    EventTopic,
+    GuardLimits,
+    LeaseChanged,
+    LinkCounted,
+    State,
+)
+from m100link.apps.station.console.view.texts import Text, problem_text, tr
 from m100link.errors import LossReason, M100Error
 from m100link.geodesy import distance_m
 from m100link.missions.plan import WaypointPlan
+from m100link.protocol.codes import ActivationCode
 from m100link.protocol.records import Battery, ControlDevice, Device, FlightPhase, Position, RcMode
 
 
@@ -37,6 +46,7 @@ class Situation:
     connection: str = "connected"  # ``"connecting"``, ``"connected"`` or ``"lost"``
     fault: str = ""  # why it is not connected, in English; empty when nobody knows
     is_activated: bool = False  # whether the aircraft is active and its key in use
+    activation_problem: Text | None = None  # why activation failed; None while it did not
     holding: str = "none"  # state of control authority, by the agent's names
     has_authority: bool = False  # whether setpoints and tasks are obeyed
     has_lease: bool = False  # whether this tab may steer
@@ -105,6 +115,7 @@ def situation_of(inputs: Inputs) -> Situation:
         connection=state.connection,
         fault=state.connection_fault.seen if state.connection_fault is not None else "",
         is_activated=state.is_activated,
+        activation_problem=_activation_problem(state),
         holding=state.holding,
         has_authority=state.has_authority,
         has_lease=inputs.has_lease,
@@ -133,6 +144,16 @@ def situation_of(inputs: Inputs) -> Situation:
         is_virtual=inputs.is_virtual,
         is_replay=state.replay is not None,
     )
+
+
+def _activation_problem(state: State) -> Text | None:
+    """What the aircraft answered to the last activation, or what kept it from answering."""
+    if state.activation_fault is not None:
+        return problem_text(state.activation_fault.error())
+    if state.activation_code is None or state.is_activated:
+        return None
+    meaning = ActivationCode(state.activation_code).meaning
+    return tr("checklist.activation.failed", why=meaning)
 
 
 def _distance(place: tuple[float, float] | None, limits: GuardLimits) -> float | None:

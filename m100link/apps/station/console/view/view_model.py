@@ -25,7 +25,6 @@ class ViewModel:
     at: float  # time on the agent's clock, s
     situation: Situation  # what is known, as plain values
     status: header.StatusLine  # the status line
-    activation: Text  # how far activation is
     problem: Text | None  # what was refused last; None for nothing
     alarms: tuple[ActiveAlarm, ...]  # what is alarming, the most urgent first
     sounding: (
@@ -50,7 +49,6 @@ def view_of(inputs: Inputs, memory: Memory | None = None) -> ViewModel:
         at=inputs.vehicle.now,
         situation=memory.situation,
         status=header.status_line(memory.situation),
-        activation=header.activation_of(inputs),
         problem=None if inputs.refusal is None else problem_text(inputs.refusal),
         alarms=alarms,
         sounding=memory.alarms.sounding,

@@ -9,7 +9,7 @@ import anyio
 import pytest
 
 from m100link.apps.agent.client import Hearing
-from m100link.apps.agent.messages import GuardLimits, LeaseChanged, State
+from m100link.apps.agent.messages import GuardLimits, LeaseChanged, RemoteError, State
 from m100link.apps.agent.orders import GuidedFlight
 from m100link.apps.station.console.view.fly import (
     ACTIONS,
@@ -44,6 +44,7 @@ from m100link.apps.station.console.view.texts import (
     Units,
     translations,
 )
+from m100link.protocol.codes import ActivationCode
 from m100link.protocol.records import (
     Attitude,
     ControlDevice,
@@ -247,17 +248,17 @@ def inputs_of(
     ("inputs", "offered"),
     [
         (Inputs(vehicle=seen(None, state=State(at=0.0))), set()),
-        (inputs_of(is_mine=False, obeyed=True), {"activate", "obtain"}),
-        (inputs_of(is_mine=True, obeyed=False), {"activate", "obtain", *KEPT}),
-        (inputs_of(is_mine=True, obeyed=True), {"activate", *KEPT, *FLIGHTS}),
+        (inputs_of(is_mine=False, obeyed=True), {"obtain"}),
+        (inputs_of(is_mine=True, obeyed=False), {"obtain", *KEPT}),
+        (inputs_of(is_mine=True, obeyed=True), {*KEPT, *FLIGHTS}),
         (
             inputs_of(is_mine=True, obeyed=True, mission="no mission"),
-            {"activate", *KEPT, *FLIGHTS},
+            {*KEPT, *FLIGHTS},
         ),
-        (inputs_of(is_mine=True, obeyed=True, task="landing"), {"activate", *KEPT}),
+        (inputs_of(is_mine=True, obeyed=True, task="landing"), {*KEPT}),
         (
             inputs_of(is_mine=True, obeyed=True, mission="hotpoint"),
-            {"activate", *KEPT, *MISSIONS},
+            {*KEPT, *MISSIONS, "pause"},
         ),
         (inputs_of(is_mine=True, obeyed=True, is_silent=True), {*KEPT}),
     ],
@@ -292,19 +293,38 @@ def test_what_leaves_the_ground_is_offered_by_the_checklist(
     assert actions >= {"land", "go_home"}
 
 
+@pytest.mark.parametrize(
+    ("state", "said"),
+    [
+        (State(0.0), "not activated"),
+        (State(0.0, is_activated=True), "active"),
+        (
+            State(0.0, activation_code=ActivationCode.NEW_DEVICE),
+            f"failed: {ActivationCode.NEW_DEVICE.meaning}",
+        ),
+        (State(0.0, activation_fault=RemoteError("LinkError", "no answer")), "no answer"),
+    ],
+)
+def test_how_far_activation_is(state: State, said: str) -> None:
+    inputs = Inputs(vehicle=seen(None, state=state))
+    found = ChecklistModel().look(situation_of(inputs)).checks
+    assert [Translator()(one.seen) for one in found if one.item is ChecklistItem.ACTIVATION] == [
+        said
+    ]
+
+
 def test_anybody_may_let_a_guided_flight_hover() -> None:
     state = State(0.0, "connected", guided=GuidedFlight("change of height"))
     assert offered_of(Inputs(vehicle=seen(None, state=state))) == {
         "stop",
-        "activate",
         "obtain",
-        "hover",
+        "pause",
     }
 
 
 def test_what_flies_by_itself_has_to_be_held_and_its_button_says_so() -> None:
     assert HELD >= FLIGHTS
-    assert not HELD & {"stop", "hover", "mission_pause", "mission_stop", "release"}
+    assert not HELD & {"stop", "pause", "mission_stop", "release"}
     labels = [key for key, english in translations().items() if english.endswith("(hold)")]
     german = translations(Language.GERMAN)
     assert labels == [key for key, label in german.items() if label.endswith("(halten)")]
@@ -346,7 +366,7 @@ async def test_heights_and_speeds_are_in_the_units_and_the_language_that_were_ch
     assert said(readings["speed"].text) == "0,0 km/h"
     assert said(readings["climb"].text) == "+0,0 km/h"
     assert said(readings["flight_status"].text) == "bereit"
-    assert said(readings["gps"].text) == "5 von 5"
+    assert said(readings["gps"].text) == "5/5"
 
 
 @pytest.mark.parametrize("field", FIELDS, ids=lambda field: field.name)

@@ -14,11 +14,10 @@ import pytest
 
 from m100link.apps.agent import orders
 from m100link.apps.agent.client import Hearing
-from m100link.apps.agent.messages import LeaseChanged, RemoteError, Replay, State
+from m100link.apps.agent.messages import LeaseChanged, Replay, State
 from m100link.apps.station.console.view.header import (
     RULES,
     Cause,
-    activation_of,
     fleet_of,
     progress,
     replay_of,
@@ -43,7 +42,6 @@ from m100link.apps.station.console.view.view_model import view_of
 from m100link.geodesy import LocalFrame
 from m100link.missions.plan import WaypointPlan
 from m100link.missions.waypoint import Waypoint
-from m100link.protocol.codes import ActivationCode
 from m100link.protocol.records import Device, RcMode
 from m100link.sim.virtual import VirtualAircraft
 from m100link.telemetry.state import AircraftState
@@ -350,27 +348,6 @@ def test_every_cause_has_words_a_level_and_says_what_to_do(cause: Cause) -> None
 def test_a_virtual_aircraft_is_named_one_whatever_else_is_reported() -> None:
     assert status_line(replace(FREE, is_virtual=True, connection="lost")).is_virtual
     assert not status_line(FREE).is_virtual
-
-
-@pytest.mark.parametrize(
-    ("state", "text"),
-    [
-        (State(at=0.0), "Activation: not done"),
-        (State(at=0.0, is_activated=True), "Activation: active"),
-        (
-            State(at=0.0, activation_code=ActivationCode.NEW_DEVICE),
-            f"Activation: {ActivationCode.NEW_DEVICE.meaning}",
-        ),
-        (
-            State(
-                at=0.0, is_activated=True, activation_fault=RemoteError("LinkError", "no answer")
-            ),
-            "Activation: no answer",
-        ),
-    ],
-)
-def test_how_far_activation_is(state: State, text: str) -> None:
-    assert Translator()(activation_of(Inputs(vehicle=seen(None, state=state)))) == text
 
 
 # -- what the page says of a recorded flight -------------------------------------------------------

@@ -19,7 +19,7 @@ from m100link.apps.station.console.view.map import (
 )
 from m100link.apps.station.console.view.situation import Inputs
 from m100link.apps.station.console.view.texts import Language, Text, Translator
-from m100link.errors import GuardRefused, LinkError, M100Error, NotObserved, UsageError
+from m100link.errors import GuardRefused, LinkError, M100Error, UsageError
 from m100link.geodesy import LocalFrame
 from m100link.missions.plan import WaypointPlan
 from m100link.missions.waypoint import Waypoint
@@ -148,13 +148,6 @@ def test_a_refusal_has_its_reason_and_a_remedy_for_the_pointing_operator(
     assert said(refusal.reason) == error.seen
     remedies = refusal.remedy if isinstance(refusal.remedy, str) else SAY(refusal.remedy)
     assert remedy in remedies
-
-
-def test_what_was_refused_by_the_agent_is_reported_and_may_be_tried_again() -> None:
-    problem = NotObserved("it was ended")
-    view = click_of(Pointed().at(*HERE), FORESEEN, None, has_control=True, problem=problem)
-    assert view.may_fly
-    assert [said(one.reason) for one in view.refusals] == ["it was ended"]
 
 
 @pytest.mark.parametrize(

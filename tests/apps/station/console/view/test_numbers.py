@@ -64,9 +64,9 @@ def heard(*changed: Any, age: float = 0.25) -> AircraftState:
 # -- instruments ----------------------------------------------------------------------------------
 
 INSTRUMENTS = {
-    "flight_status": ("in air", "in der Luft", "in air"),
+    "flight_status": ("in the air", "in der Luft", "in the air"),
     "battery": ("63 %", "63 %", "63 %"),
-    "gps": ("4 of 5", "4 von 5", "4 of 5"),
+    "gps": ("4/5", "4/5", "4/5"),
     "height": ("12.3 m", "40,5 ft", "12.3 m"),
     "altitude": ("87.7 m", "287,6 ft", "87.7 m"),
     "latitude": ("-33.123457°", "-33.123457°", "-33.123457°"),
@@ -136,7 +136,7 @@ def test_what_goes_down_below_or_the_other_way_has_its_sign() -> None:
             **{"height": "-12.3 m", "altitude": "-3.2 m", "speed": "3.6 m/s", "climb": "-0.8 m/s"},
             **{"latitude": "33.500000°", "longitude": "-70.250000°", "flight_status": "landing"},
             **{"gimbal": "roll -5° pitch 37° yaw -119°"},
-            **{"gps": "2 of 5 (too low for velocity and position)"},
+            **{"gps": "2/5, too low"},
         }
         == said
     )
