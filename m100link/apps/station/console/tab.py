@@ -76,7 +76,7 @@ class Tab:
         self.way = ClockEstimate(PAGE_GRAIN)
         self._press = Press()
         # The number of the newest order of this tab that moves the aircraft or ends a motion, and
-        # was not refused; beats count. What it replaced did not fail.
+        # was not refused; beats count. An order that it replaced did not fail.
         self._count = self._newest = 0
         self._complained_at = -math.inf
         self._stopping: asyncio.Task[Any] | None = None  # one at a time, however often it is said

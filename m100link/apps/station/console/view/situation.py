@@ -147,7 +147,7 @@ def situation_of(inputs: Inputs) -> Situation:
 
 
 def _activation_problem(state: State) -> Text | None:
-    """What the aircraft answered to the last activation, or what kept it from answering."""
+    """The answer of the aircraft to the last activation, or why there is none."""
     if state.activation_fault is not None:
         return problem_text(state.activation_fault.error())
     if state.activation_code is None or state.is_activated:

@@ -1,13 +1,17 @@
-"""Texts that stand on a page follow its language, and each component stands on the page."""
+"""Texts of a page follow its language, each component stands on it, and it takes off."""
 
 from __future__ import annotations
 
 import ast
 from dataclasses import fields, replace
 from pathlib import Path
+from typing import Any, cast
+
+import pytest
 
 from m100link.apps.station.console.components import component
-from m100link.apps.station.console.components.component import Wording
+from m100link.apps.station.console.components.component import PageContext, Wording
+from m100link.apps.station.console.view.situation import Inputs
 from m100link.apps.station.console.view.texts import (
     DisplaySettings,
     Language,
@@ -15,7 +19,12 @@ from m100link.apps.station.console.view.texts import (
     Quantity,
     tr,
 )
-from m100link.apps.station.console.view.view_model import ViewModel
+from m100link.apps.station.console.view.view_model import Memory, ViewModel
+from m100link.errors import M100Error, UsageError
+from tests.apps.station.conftest import Rig
+from tests.apps.station.console.test_tab import Browser, keep_alive
+
+pytestmark = pytest.mark.anyio
 
 
 def test_what_stands_on_the_page_follows_the_settings() -> None:
@@ -82,3 +91,44 @@ def test_components_show_each_value_of_the_view_and_no_other() -> None:
     assert shown <= values, f"View of console/view/view.py has no {sorted(shown - values)}"
     unshown = values - shown
     assert not unshown, f"no component shows {sorted(unshown)} of View"
+
+
+# -- taking off to a height ------------------------------------------------------------------------
+
+
+async def ready(rig: Rig, height: float) -> tuple[Browser, PageContext]:
+    """A page that has control of an aircraft on the ground, and a reason to take off."""
+    browser, memory = Browser(rig), Memory()
+    await browser.tab.session.obtain()
+    memory.checklist.say_why("a test")
+    memory.checklist.height = height
+    memory.look(Inputs(vehicle=rig.front.view, has_lease=True))
+    none = cast(Any, None)
+    rest = none, memory, none, none, none, False, none, none
+    return browser, PageContext(rig.front, browser.tab, None, *rest)
+
+
+@pytest.mark.parametrize("height", [1.2, 8.0])
+async def test_it_takes_off_and_climbs_to_the_chosen_height(rig: Rig, height: float) -> None:
+    browser, page = await ready(rig, height)
+    await keep_alive(browser, page.take_off())
+    assert rig.aircraft.height == pytest.approx(height, abs=0.5)
+
+
+async def test_a_stop_while_it_takes_off_ends_the_climb_too(rig: Rig) -> None:
+    browser, page = await ready(rig, 8.0)
+    work = rig.front.background.spawn(page.take_off(), "take-off")
+    await keep_alive(browser, rig.until(lambda: rig.aircraft.height > 0.5))
+    await browser.tab.stop()
+    await keep_alive(browser, rig.until(work.done))
+    with pytest.raises(M100Error):
+        work.result()
+    assert rig.front.state.guided is None
+    assert rig.aircraft.height < 2.0
+
+
+async def test_beyond_the_limits_it_stays_on_the_ground(rig: Rig) -> None:
+    _, page = await ready(rig, 51.0)
+    with pytest.raises(UsageError, match="the limit is 50 m"):
+        await page.take_off()
+    assert rig.aircraft.height == pytest.approx(0.0, abs=0.1)
