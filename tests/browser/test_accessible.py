@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from tests.browser.conftest import Console
+from tests.browser.operator import look_at
 
 axe = pytest.importorskip("axe_playwright_python.async_playwright", reason="axe is not installed")
 
@@ -40,3 +41,19 @@ async def test_axe_finds_nothing_on_the_fly_view(console: Console) -> None:
     page = await console.open()
     await page.click("#point-open")
     assert await violations(page) == []
+
+
+MOVES = """() => [...document.querySelectorAll("*")].filter((one) => {
+  const {transitionDuration, animationDuration} = getComputedStyle(one);
+  return [transitionDuration, animationDuration].some((all) => /[1-9]/.test(all));
+}).map((one) => one.outerHTML.slice(0, 80))"""
+
+
+async def test_nothing_moves_where_less_motion_is_wanted(console: Console) -> None:
+    page = await console.open()
+    assert len(await page.evaluate(MOVES)) > 10
+    await page.emulate_media(reduced_motion="reduce")
+    for view in ("fly", "plan", "settings"):
+        await look_at(page, view)
+        await page.wait_for_selector(f"section[data-view={view}] > *", state="attached")
+        assert await page.evaluate(MOVES) == []

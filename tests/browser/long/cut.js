@@ -1,5 +1,6 @@
-// Texts that are wider or higher than their boxes. What is scrolled is not.
-() => [...document.querySelectorAll("button, .field, .banner *, .card *, .place *, #bar *")]
+// Texts that are wider or higher than their boxes, labels of fields too. What is scrolled is not.
+() => [...document.querySelectorAll(".q-field__label")].filter((one) => one.scrollWidth > one.clientWidth + 1)
+  .map((one) => one.textContent.trim()).concat([...document.querySelectorAll("button, .field, .banner *, .card *, .place *, #bar *")]
   .filter((one) => one.checkVisibility({visibilityProperty: true})
     && !one.closest(".q-icon, .q-field, .q-uploader, #events, canvas, svg, .unseen")
     && [...one.childNodes].some((node) => node.nodeType === 3 && node.textContent.trim()))
@@ -14,4 +15,4 @@
       if (style.overflowY === "hidden" && text.height > 1 && text.bottom > box.bottom + 1) return true;
     }
     return false;
-  }).map((one) => one.textContent.trim())
+  }).map((one) => one.textContent.trim()))
