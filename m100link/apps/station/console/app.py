@@ -86,24 +86,24 @@ def console_app(
             raise UsageError(f"{settings.tiles} is not a folder")
         app.mount("/tiles", PublicFiles(directory=settings.tiles))
 
-    def page(client: Client, aircraft: str = "", moved: str = "") -> None:
+    async def page(client: Client, aircraft: str = "", moved: str = "") -> None:
         key, tab = tabs.open(aircraft, moved)
         client.on_delete(lambda: tabs.close(key))
         _wait_to_hear(client, unheard)
-        Page(
+        shell = Page(
             tab.agent,
             tab,
             orders.get(tab.aircraft),
             has_tiles=settings.tiles is not None,
             history=history_of(tab.aircraft),
             tabs=tabs,
-            key=key,
         )
+        await shell.build(key)
 
     # Quasar would draw a bar over the line of state for each request behind the page, and a bar
     # without a name for screen readers. The page says itself what it waits for.
     nicegui_app.config.quasar_config["loadingBar"]["skipHijack"] = True
-    ui.page("/", title="m100link", viewport=_VIEWPORT)(page)
+    ui.page("/", title="m100link", viewport=_VIEWPORT, response_timeout=_RECONNECT_S)(page)
     _log_nothing_of_strangers()
     nicegui_app.add_middleware(Policy)  # it reads a page: before what compresses it
     ui.run_with(

@@ -6,9 +6,10 @@ the values at the top; orders, views and STOP at the bottom, where a thumb is.
 
 from __future__ import annotations
 
+import asyncio
 import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
 
@@ -29,7 +30,12 @@ from m100link.apps.station.console.components.data import (
     PlotsPart,
     TelemetryPart,
 )
-from m100link.apps.station.console.components.fly import ChecklistPart, Fly, StripPart
+from m100link.apps.station.console.components.fly import (
+    ChecklistPart,
+    PreparedPart,
+    SticksPart,
+    StripPart,
+)
 from m100link.apps.station.console.components.header import (
     AlarmsPart,
     FleetPart,
@@ -54,7 +60,7 @@ UPDATE_INTERVAL = 0.25
 _Make = Callable[[PageContext], Component]
 
 VIEWS: dict[str, tuple[str, tuple[_Make, ...]]] = {
-    "fly": ("flight", (Fly,)),
+    "fly": ("flight", (PreparedPart, SticksPart)),
     "plan": ("route", (PlanPart,)),
     "check": ("checklist", (ChecklistPart,)),
     "data": ("show_chart", (PlotsPart, TelemetryPart, LinkPart)),
@@ -78,7 +84,6 @@ class Page:
         has_tiles: bool,  # whether there are map tiles
         history: PlotHistory,  # the last minutes of every number
         tabs: Tabs,  # who looks at this and at other aircraft
-        key: str,  # the secret part of the address of its socket
     ) -> None:
         self._agent, self._tab = agent, tab
         wording = Wording()
@@ -96,13 +101,14 @@ class Page:
             tabs,
         )
         self._sections: dict[str, ui.element] = {}
+        self._header: list[Component] = []
         self._parts: dict[str, list[Component]] = {}  # of the views that were built
-        self._build(key)
-        self._show("fly")
-        ui.timer(0.0, self._go_on, once=True)
-        ui.timer(UPDATE_INTERVAL, self._update)
 
-    def _build(self, key: str) -> None:
+    async def build(self, key: str) -> None:
+        """Build it in steps, between which everything else has its turn: keys, and STOP.
+
+        ``key``: the secret part of the address of its socket.
+        """
         ui.add_head_html(f'<link rel="stylesheet" href="/console/console.css">{_HEAD}')
         speaker = json.dumps(for_browser(self._context.wording.settings.speaker))
         ui.add_body_html(
@@ -110,9 +116,9 @@ class Page:
             f'import {{choose}} from "/console/said.js"; choose({speaker});'
             f'import {{start}} from "/console/shell.js"; start({json.dumps(key)});</script>'
         )
+        header: tuple[_Make, ...] = (FleetPart, StatusPart, AlarmsPart, ReplayPart)
         with ui.element("header").props("id=header"):
-            header: tuple[_Make, ...] = (FleetPart, StatusPart, AlarmsPart, ReplayPart)
-            self._header = [make(self._context) for make in header]
+            await self._make(header, self._header)
         self._context.buttons.add("stop", "actions.stop", self._tab.stop, kind="stop")
         with ui.element("div").props("id=dock"):
             StripPart(self._context)
@@ -124,6 +130,14 @@ class Page:
                 section = ui.element("section").props(f"data-view={name}")
                 self._context.wording.put(attribute(section), f"page.view.{name}")
                 self._sections[name] = section
+        await self._show("fly")
+        ui.timer(0.0, self._go_on, once=True)
+        ui.timer(UPDATE_INTERVAL, self._update)
+
+    async def _make(self, makers: Iterable[_Make], parts: list[Component]) -> None:
+        for make in makers:
+            parts.append(make(self._context))
+            await asyncio.sleep(0)
 
     async def _go_on(self) -> None:
         """Look and speak as it was chosen, and go on where the page was before a reload."""
@@ -140,7 +154,7 @@ class Page:
         if said_at is not None:
             context.memory.checklist.say_free(said_at, is_free=True)
         if name in VIEWS:
-            self._show(name)
+            await self._show(name)
 
     def _build_bar(self) -> None:
         with ui.element("nav").props("id=bar") as bar:
@@ -153,11 +167,12 @@ class Page:
                 # The page shows the view by itself; here it is built, and kept up to date.
                 tab.on("click", partial(self._show, name), args=[])
 
-    def _show(self, name: str) -> None:
+    async def _show(self, name: str) -> None:
         self._shown = name
         if name not in self._parts:
+            parts = self._parts[name] = []
             with self._sections[name]:
-                self._parts[name] = [make(self._context) for make in VIEWS[name][1]]
+                await self._make(VIEWS[name][1], parts)
         self._update()
 
     def _update(self) -> None:

@@ -364,7 +364,7 @@ class PageContext:
     memory: Memory  # its alarms, its checklist, its events
     wording: Wording  # says everything in the operator's language and units
     dark: ui.dark_mode  # switches the dark looks of NiceGUI's own elements
-    show: Callable[[str], None]  # shows another view of the page, by its name
+    show: Callable[[str], Awaitable[None]]  # shows another view of the page, by its name
     has_tiles: bool  # whether there are map tiles under ``/tiles/{z}/{x}/{y}.png``
     history: PlotHistory  # the last minutes of every number
     tabs: Tabs  # who looks at this and at other aircraft

@@ -18,23 +18,17 @@ _TOOLS = (("horizon", "explore"), ("sticks", "gamepad"))
 """The panels that fold: the page does it by itself, and keeps what was chosen."""
 
 
-class Fly:
+class PreparedPart:
+    """One thing is prepared at a time: a take-off, or a flight to a point."""
+
     def __init__(self, page: component.PageContext) -> None:
-        wording = page.wording
         with _place("tools") as tools:
             for name, icon in _TOOLS:
-                wording.tool(f"page.fold.{name}", icon, f"data-fold={name}")
-        with _place("hud"):
-            horizon = ui.element("canvas").props("id=horizon role=img")
-            wording.put(component.attribute(horizon), "instruments.horizon")
+                page.wording.tool(f"page.fold.{name}", icon, f"data-fold={name}")
         with _place("prepared"):
-            self._click = ClickPart(page, tools)
-            self._ground = GroundPart(page)
-        with _place("steering"):
-            _build_sticks(wording)
+            self._click, self._ground = ClickPart(page, tools), GroundPart(page)
 
     def update(self, view: ViewModel) -> None:
-        """One thing is prepared at a time."""
         self._click.update(view)
         self._ground.update(view, is_covered=self._click.is_open)
 
@@ -49,13 +43,23 @@ def _place(name: str) -> ui.element:
 # between the sticks: what keys do, and what the last one just did.
 
 
-def _build_sticks(wording: component.Wording) -> None:
-    with ui.element("div").props("id=pad tabindex=0 role=group") as pad:
-        _build_stick(wording, "climb", "turn,up")
-        with ui.element("div").classes("between"):
-            _build_legend(wording)
-        _build_stick(wording, "move", "right,forward")
-    wording.put(component.attribute(pad), "page.steering")
+class SticksPart:
+    """The pad, and the drawing of attitude, speed and height: the socket brings what they show."""
+
+    def __init__(self, page: component.PageContext) -> None:
+        wording = page.wording
+        with _place("hud"):
+            horizon = ui.element("canvas").props("id=horizon role=img")
+        wording.put(component.attribute(horizon), "instruments.horizon")
+        with _place("steering"), ui.element("div").props("id=pad tabindex=0 role=group") as pad:
+            _build_stick(wording, "climb", "turn,up")
+            with ui.element("div").classes("between"):
+                _build_legend(wording)
+            _build_stick(wording, "move", "right,forward")
+        wording.put(component.attribute(pad), "page.steering")
+
+    def update(self, view: ViewModel) -> None:
+        """Nothing of it comes with the view."""
 
 
 def _build_stick(wording: component.Wording, name: str, axes: str) -> None:
@@ -185,7 +189,7 @@ _HEIGHTS = (fly.TAKE_OFF_HEIGHT, 120.0)  # to which a take-off is offered, m
 
 
 class GroundPart:
-    """What a take-off needs, above the strip, while the aircraft stands."""
+    """The take-off is prepared here, above the strip, while the aircraft stands."""
 
     def __init__(self, page: component.PageContext) -> None:
         self._wording, checklist = page.wording, page.memory.checklist

@@ -125,7 +125,7 @@ class ClickPart:
                 with ui.element("div").classes("choices").props("role=group"):
                     self._kinds = {kind: self._build_kind(kind) for kind in GuidedKind}
                 self._build_fields()
-            # What is confirmed, and the button for it: never scrolled away.
+            # Never scrolled away.
             with ui.element("div").classes("confirm"):
                 self._preview = ui.label().props("id=click-preview role=status")
                 self._refusals = ui.element("div").props("id=click-refusals role=alert")
