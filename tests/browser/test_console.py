@@ -157,6 +157,33 @@ async def test_the_pad_shows_what_is_flown_and_not_what_is_sent(console: Console
     await shows(page, "#did", "let go")
 
 
+PITCH = """() => Number(
+  document.querySelector("#camera-state").textContent.match(/pitch (-?[0-9]+)/)?.[1])"""
+
+
+async def test_a_photo_is_one_tap_and_the_camera_looks_where_it_is_dragged(browser: Any) -> None:
+    async with console_in_browser(browser, "--firmware", "3.1") as console:
+        page = await console.open()
+        await in_control(page)
+        await press_for(page, "photo", "#camera-state", "photo sent")
+        await shows(page, "#camera-state", "not confirmed")
+        box = await page.locator(".look").bounding_box()
+        x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+        await page.mouse.move(x, y)
+        await page.mouse.down()
+        await page.mouse.move(x, y + box["height"] / 2)  # down
+        await page.wait_for_function(f"({PITCH})() < -20")
+        await page.mouse.up()
+        await press_for(page, "gimbal_centre", "#camera-state", "pitch 0°")
+        # The handle of the slider, to its lower end.
+        await page.locator("#gimbal-pitch").press("Home")
+        await page.wait_for_function(f"({PITCH})() < -80")
+        await press_for(page, "video_start", "#camera-state", "start of video sent")
+        assert await page.inner_text("#problem") == ""
+        await look_at(page, "events")
+        await shows(page, "#events", "start video, sent")
+
+
 async def test_closing_the_tab_in_flight_stops_and_frees_control(console: Console) -> None:
     page = await airborne(console)
     await page.click("#pad")

@@ -98,18 +98,24 @@ async def test_every_confirm_is_in_sight_in_every_state_of_a_flight(browser: Any
         await in_control(page)
         await walk.see("on the ground")
         await airborne(console, page=page)
-        await fold(page, "horizon", is_shown=False)
-        await fold(page, "sticks", is_shown=False)
+        for panel in ("horizon", "sticks", "camera"):
+            await fold(page, panel, is_shown=False)
         await walk.see("hover")
         await walk.share_of_map("hover", 65.0)
         await fold(page, "sticks", is_shown=True)
         await walk.see("hover, sticks")
         await walk.share_of_map("hover, sticks", 60.0)
         await fold(page, "horizon", is_shown=True)
-        await walk.see("all panels")
+        await walk.see("sticks and instruments")
         await _point(page, walk)
         await fold(page, "sticks", is_shown=False)
         await walk.see("a circle, without sticks")
+        await page.click("#point-close")
+        await fold(page, "horizon", is_shown=False)
+        await fold(page, "camera", is_shown=True)
+        await walk.see("the camera")
+        await fold(page, "camera", is_shown=False)
+        await page.click("#point-open")
         await _fly_there(page, walk)
         await _plan(page, walk)
         assert walk.found == {}
@@ -132,8 +138,8 @@ async def _point(page: Any, walk: Walk) -> None:
 
 async def _fly_there(page: Any, walk: Walk) -> None:
     await in_control(page)  # a busy machine may have taken it from a page that it did not hear
+    await page.fill("#click-bearing", "180")
     await page.wait_for_selector("[data-act=guide]:visible")
-    await fold(page, "horizon", is_shown=False)
     await hold_until(page, "guide", lambda: page.is_visible("#guided-flying"))
     await walk.see("it flies around a point")
     await walk.share_of_map("it flies around a point", 60.0)

@@ -32,6 +32,7 @@ from m100link.apps.station.console.components.data import (
 )
 from m100link.apps.station.console.components.fly import (
     ChecklistPart,
+    HudPart,
     PreparedPart,
     SticksPart,
     StripPart,
@@ -60,7 +61,7 @@ UPDATE_INTERVAL = 0.25
 _Make = Callable[[PageContext], Component]
 
 VIEWS: dict[str, tuple[str, tuple[_Make, ...]]] = {
-    "fly": ("flight", (PreparedPart, SticksPart)),
+    "fly": ("flight", (PreparedPart, HudPart, SticksPart)),
     "plan": ("route", (PlanPart,)),
     "check": ("checklist", (ChecklistPart,)),
     "data": ("show_chart", (PlotsPart, TelemetryPart, LinkPart)),

@@ -17,7 +17,7 @@ from m100link.apps.station.console.kept import PlotHistory
 from m100link.apps.station.console.orders import SimulatorOrders
 from m100link.apps.station.console.tab import Tab
 from m100link.apps.station.console.tabs import Tabs
-from m100link.apps.station.console.view.fly import HELD, TAKE_OFF_HEIGHT, FieldReading
+from m100link.apps.station.console.view.fly import CAMERA, HELD, TAKE_OFF_HEIGHT, FieldReading
 from m100link.apps.station.console.view.texts import (
     DisplaySettings,
     QuantityKind,
@@ -124,7 +124,7 @@ def attribute(element: ui.element, name: str = "aria-label") -> Callable[[str], 
 
 # -- buttons that give orders ----------------------------------------------------------------------
 
-_STAYS = frozenset({"obtain", "mission_upload"})
+_STAYS = CAMERA | {"obtain", "mission_upload"}
 """Orders beside which everything that flies goes on."""
 
 _ENDS = frozenset({"stop", "pause", "release", "mission_stop"})
@@ -203,10 +203,7 @@ class Buttons:
                     check(said.get("shown"))
                 await (work(said.get("press")) if name == "stop" else work())
 
-            # The page goes on while the aircraft flies.
-            whose = f"{name} of {self._tab.session.name}"
-            attempt = self._tab.attempt(order, replaces=name not in _STAYS)
-            self._agent.background.spawn(attempt, whose)
+            self.ask(name, order)
             await asyncio.sleep(0)
 
         # A tap with a second finger makes no click: STOP has an event that the page makes of it.
@@ -217,6 +214,11 @@ class Buttons:
         )
         self._buttons.setdefault(name, []).append((made, True))
         return made
+
+    def ask(self, name: str, work: Callable[[], Awaitable[Any]]) -> None:
+        """Give an order in the background: the page goes on while the aircraft flies."""
+        attempt = self._tab.attempt(work, replaces=name not in _STAYS)
+        self._agent.background.spawn(attempt, f"{name} of {self._tab.session.name}")
 
     def _refuse(self, what: str, event: GenericEventArguments) -> None:
         """A hold that gives no order: answered as one, or a lost connection would hide its end."""

@@ -3,18 +3,29 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
-from nicegui import ui
+from nicegui import events, ui
 
-from m100link.apps.agent.orders import GoHome, Land, PauseMission
+from m100link.apps.agent.orders import (
+    CameraUse,
+    GoHome,
+    Land,
+    PauseMission,
+    PointGimbal,
+    TurnGimbal,
+    UseCamera,
+)
 from m100link.apps.station.console.components import component
 from m100link.apps.station.console.components.map import ClickPart
 from m100link.apps.station.console.view import fly
 from m100link.apps.station.console.view.texts import QuantityKind, Text, tr
 from m100link.apps.station.console.view.view_model import ViewModel
+from m100link.protocol.commands.gimbal import GimbalAngle, GimbalAngleMode, GimbalSpeed
+from m100link.protocol.records import Attitude, Gimbal
 
-_TOOLS = (("horizon", "explore"), ("sticks", "gamepad"))
+_TOOLS = (("horizon", "explore"), ("sticks", "gamepad"), ("camera", "photo_camera"))
 """The panels that fold: the page does it by itself, and keeps what was chosen."""
 
 
@@ -44,13 +55,10 @@ def _place(name: str) -> ui.element:
 
 
 class SticksPart:
-    """The pad, and the drawing of attitude, speed and height: the socket brings what they show."""
+    """The pad; the socket brings what it shows."""
 
     def __init__(self, page: component.PageContext) -> None:
         wording = page.wording
-        with _place("hud"):
-            horizon = ui.element("canvas").props("id=horizon role=img")
-        wording.put(component.attribute(horizon), "instruments.horizon")
         with _place("steering"), ui.element("div").props("id=pad tabindex=0 role=group") as pad:
             _build_stick(wording, "climb", "turn,up")
             with ui.element("div").classes("between"):
@@ -90,6 +98,98 @@ def _build_step(wording: component.Wording, what: str, sign: str) -> None:
         ui.label(sign).props("aria-hidden=true")
     wording.put(component.attribute(step), f"page.legend.{what}")
 
+
+# -- camera and gimbal -----------------------------------------------------------------------------
+# No firmware confirms an order to the camera. So the page says what was asked for and when, and
+# never that a video runs. Of the gimbal it says what telemetry shows.
+
+_TURN_DEG_S = 40.0  # of the gimbal, while the place to drag is dragged to its edge
+_LOOK_S = 0.5  # in which the gimbal comes to an angle
+_PITCH_DEG = (-90.0, 30.0)
+
+
+class HudPart:
+    """The drawing of attitude, speed and height, which the socket feeds, and the camera."""
+
+    def __init__(self, page: component.PageContext) -> None:
+        self._page = page
+        self._is_held = False  # a finger moves the slider
+        self._asked: tuple[str, float] | None = None  # the last order to the camera, and when
+        wording, add = page.wording, page.buttons.add
+        with _place("hud") as hud:
+            horizon = ui.element("canvas").props("id=horizon role=img")
+        wording.put(component.attribute(horizon), "instruments.horizon")
+        with hud, ui.element("div").classes("card camera").props("id=camera"):
+            with ui.element("div").classes("acts"):
+                for name, use in _USES.items():
+                    add(name, f"camera.{name}", partial(self._use, name, use), kind="plain")
+                add("gimbal_centre", "camera.centre", self._centre, kind="plain")
+            look = ui.element("div").classes("stick look").props('data-axes="yaw,pitch" role=img')
+            with look:
+                wording.label("camera.look")
+            wording.put(component.attribute(look), "camera.look.hint")
+            low, high = _PITCH_DEG
+            self._pitch = ui.slider(min=low, max=high, step=1.0, value=0.0)
+            self._pitch.props("id=gimbal-pitch").on("change", self._pitched)
+            self._pitch.on("pan", self._held)
+            wording.put(component.attribute(self._pitch), "camera.pitch")
+            self._state = ui.label().props("id=camera-state role=status")
+        ui.on("looked", self._looked)
+
+    async def _use(self, name: str, use: CameraUse) -> None:
+        await self._page.tab.session.ask(UseCamera(use))
+        self._asked = name, self._page.agent.now
+        self._page.agent.note(f"{self._page.tab.session.name}: {use.value.replace('_', ' ')}, sent")
+
+    async def _centre(self) -> None:
+        """To the nose and the horizon."""
+        attitude = self._page.agent.view.get(Attitude)
+        yaw = 0.0 if attitude is None else attitude.yaw_deg
+        keep = GimbalAngleMode.KEEP_YAW if attitude is None else 0
+        await self._point(GimbalAngle(yaw, 0.0, 0.0, GimbalAngleMode.ABSOLUTE | keep, _LOOK_S))
+
+    async def _point(self, angle: GimbalAngle) -> None:
+        await self._page.tab.session.ask(PointGimbal(angle))
+
+    def _held(self, event: events.GenericEventArguments) -> None:
+        self._is_held = event.args == "start"
+
+    def _pitched(self) -> None:
+        self._is_held = False
+        kept = GimbalAngleMode.KEEP_YAW | GimbalAngleMode.KEEP_ROLL | GimbalAngleMode.ABSOLUTE
+        pitch = float(self._pitch.value or 0.0)
+        self._page.buttons.ask(
+            "gimbal", lambda: self._point(GimbalAngle(0, 0, pitch, kept, _LOOK_S))
+        )
+
+    def _looked(self, event: events.GenericEventArguments) -> None:
+        """The place is dragged: the gimbal turns for half a second, as long as that goes on."""
+        found = event.args if isinstance(event.args, dict) else {}
+        if all(isinstance(found.get(one), int | float) for one in ("yaw", "pitch")):
+            yaw, pitch = (_TURN_DEG_S * max(-1.0, min(1.0, found[one])) for one in ("yaw", "pitch"))
+            turn = TurnGimbal(GimbalSpeed(yaw_deg_s=yaw, pitch_deg_s=pitch))
+            self._page.buttons.ask("gimbal", lambda: self._page.tab.session.ask(turn))
+
+    def update(self, view: ViewModel) -> None:
+        reading, said = view.instruments.readings["gimbal"], self._page.wording
+        gimbal = self._page.agent.view.get(Gimbal)
+        is_offered = "gimbal" in view.actions
+        self._pitch.set_enabled(is_offered)
+        if gimbal is not None and not self._is_held:
+            self._pitch.set_value(round(gimbal.pitch_deg))
+        text = said(reading.text)
+        if self._asked is not None:
+            name, at = self._asked
+            ago = round(self._page.agent.now - at)
+            text += " · " + said(tr(f"camera.{name}.asked", seconds=ago))
+        self._state.set_text(text if is_offered or self._asked else said(Text("camera.none")))
+
+
+_USES = {
+    "photo": CameraUse.PHOTO,
+    "video_start": CameraUse.START_VIDEO,
+    "video_stop": CameraUse.STOP_VIDEO,
+}
 
 # -- before take-off -------------------------------------------------------------------------------
 

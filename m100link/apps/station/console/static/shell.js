@@ -4,7 +4,7 @@ import {tellRefused} from "./press.js";  // first of all: what it refuses reache
 import {answered, order, say, start as startOrders} from "./orders.js";
 import {words} from "./said.js";
 import {Socket} from "./socket.js";
-import {Steering} from "./steer.js";
+import {startLook, Steering} from "./steer.js";
 import {drawHorizon, drawChannels} from "./instruments.js";
 import {FlightMap} from "./map.js";
 
@@ -57,6 +57,7 @@ export function start(key) {
   m100.onLive(drawChannels);
   setInterval(() => m100.socket.isLost && draw(), 250);  // what is not told any more grows old
   startOrders();
+  startLook(find(".look"));
   tellRefused(() => say(words("too_soon")));
   stopAtOnce(find("[data-act=stop]"));
   holdToPress();

@@ -8,6 +8,7 @@ import {isSettled} from "./press.js";
 import {number, onChoose, speed, words} from "./said.js";
 
 const BEAT_MS = 50;
+const LOOK_MS = 200;  // between two turns of the gimbal; one lasts half a second
 const TOLD_MS = 500;  // what the station said of an earlier beat counts for so long
 const STOOD_STILL_MS = 1000;  // a page that slept so long does not know what is held
 
@@ -74,6 +75,13 @@ class Stick {
     this.element.style.setProperty("--up", 0);
     this.changed();
   }
+}
+
+// The place to drag for looking around: it turns the gimbal for half a second, again and again.
+export function startLook(element) {
+  const tell = (axes) => window.emitEvent("looked", axes);
+  const stick = new Stick(element, () => stick.axes || tell({yaw: 0, pitch: 0}), () => stick.drop());
+  setInterval(() => stick.axes && tell(stick.axes), LOOK_MS);
 }
 
 export class Steering {

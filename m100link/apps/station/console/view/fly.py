@@ -13,6 +13,8 @@ from m100link.apps.agent.latency import MAX_ROUND_TRIP
 from m100link.apps.station.console.view.situation import Inputs, Situation
 from m100link.apps.station.console.view.texts import Quantity, Text, tr
 from m100link.protocol import records
+from m100link.protocol.commands.gimbal import TakePhoto
+from m100link.protocol.firmware import PROFILES
 from m100link.telemetry.integrity import GOOD_GPS, MAX_TELEMETRY_AGE
 from m100link.telemetry.state import is_finite
 
@@ -240,9 +242,16 @@ HELD = FLIGHTS | {"mission_resume"}
 A stray click must not; a second's hold does no harm while the aircraft hovers. One press ends a
 motion."""
 
-ACTIONS = FLIGHTS | MISSIONS | {"stop", "pause", "obtain", "release", "mission_upload"}
+CAMERA = frozenset({"photo", "video_start", "video_stop", "gimbal_centre", "gimbal"})
+"""Orders to gimbal and camera: everything that flies goes on."""
+
+ACTIONS = FLIGHTS | MISSIONS | CAMERA | {"stop", "pause", "obtain", "release", "mission_upload"}
 """Every button that is an order."""
 
+
+_WITHOUT_CAMERA = frozenset(
+    name for name, one in PROFILES.items() if one.generation < TakePhoto.SINCE
+)
 
 FROM_GROUND = frozenset({"take_off", "simple_task", "mission_start"})
 """Orders with which the aircraft leaves the ground if it stands there."""
@@ -263,6 +272,9 @@ def actions_of(inputs: Inputs, now: Situation, checklist: Checklist) -> frozense
         offered.add("obtain")
     if inputs.has_lease:
         offered |= {"release", "mission_upload"}
+    has_camera = state.firmware not in ("", *_WITHOUT_CAMERA) and now.is_activated
+    if now.is_connected and has_camera and (inputs.has_lease or not now.holder):
+        offered |= CAMERA
     if state.guided is not None:
         offered.add("pause")  # anybody may
     if has_control and state.mission not in ("", "no mission"):  # of any program

@@ -13,6 +13,7 @@ from m100link.apps.agent.messages import GuardLimits, LeaseChanged, RemoteError,
 from m100link.apps.agent.orders import GuidedFlight
 from m100link.apps.station.console.view.fly import (
     ACTIONS,
+    CAMERA,
     ENOUGH_BATTERY,
     FIELDS,
     FLIGHTS,
@@ -212,7 +213,7 @@ def test_enough_is_what_a_mission_needs() -> None:
 
 # -- which buttons can be pressed in which state ---------------------------------------------------
 
-MINE = LeaseChanged(3, "tab")
+MINE, NOBODY = LeaseChanged(3, "tab"), LeaseChanged(0, "")
 KEPT = {"release", "mission_upload"}
 
 
@@ -313,6 +314,25 @@ def test_how_far_activation_is(state: State, said: str) -> None:
     ]
 
 
+@pytest.mark.parametrize(
+    ("firmware", "is_activated", "holder", "is_offered"),
+    [
+        ("3.1", True, NOBODY, True),  # it needs no control
+        ("2.3", True, NOBODY, True),
+        ("1.0", True, NOBODY, False),  # which has no commands for it
+        ("3.1", False, NOBODY, False),
+        ("3.1", True, MINE, False),  # somebody else has control
+        ("", True, NOBODY, False),
+    ],
+)
+def test_when_the_camera_obeys(
+    firmware: str, is_activated: bool, holder: LeaseChanged, is_offered: bool
+) -> None:
+    state = State(0.0, "connected", firmware=firmware, is_activated=is_activated)
+    offered = offered_of(Inputs(vehicle=seen(None, state=state, holder=holder)))
+    assert offered & CAMERA == (CAMERA if is_offered else set())
+
+
 def test_anybody_may_let_a_guided_flight_hover() -> None:
     state = State(0.0, "connected", guided=GuidedFlight("change of height"))
     assert offered_of(Inputs(vehicle=seen(None, state=state))) == {
@@ -365,7 +385,7 @@ async def test_heights_and_speeds_are_in_the_units_and_the_language_that_were_ch
     assert said(readings["height"].text) == "0,0 ft"
     assert said(readings["speed"].text) == "0,0 km/h"
     assert said(readings["climb"].text) == "+0,0 km/h"
-    assert said(readings["flight_status"].text) == "bereit"
+    assert said(readings["flight_status"].text) == "am Boden"
     assert said(readings["gps"].text) == "5/5"
 
 
