@@ -66,7 +66,9 @@ def pytest_collection(session: pytest.Session) -> None:
     for path in sorted(here.rglob("test_*.py"), reverse=True):
         if not any(path.is_relative_to(folder) for folder in left_out):
             with suppress(Exception, pytest.skip.Exception):  # the collection says why
-                importlib.import_module(".".join(path.relative_to(here.parent).with_suffix("").parts))
+                importlib.import_module(
+                    ".".join(path.relative_to(here.parent).with_suffix("").parts)
+                )
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:

@@ -131,6 +131,6 @@ async def test_the_pilots_switch_shows_in_the_banner(flight: Flight) -> None:
     _, page = flight
     await look_at(page, "settings")
     await page.click("#sim-mode >> text=P")
-    await banner(page, "The pilot flies: mode switch in P")
+    await banner(page, "The pilot has control: mode switch in P")
     await page.click("#sim-mode >> text=F")
     await banner(page, "You have control")

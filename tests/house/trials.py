@@ -280,7 +280,7 @@ _IN_THE_APPLICATIONS = (
         (
             Edit(
                 f"{_TEXTS}/de.toml",
-                '"item.battery" = "Batterie"\n',
+                '"item.battery" = "Akku"\n',
                 '"item.outside_air" = "Luft"\n',
             ),
             Edit(

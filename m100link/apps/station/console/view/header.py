@@ -10,7 +10,7 @@ from enum import Enum
 from m100link.apps.agent.client import Hearing
 from m100link.apps.agent.messages import Replay
 from m100link.apps.station.console.view.situation import AlarmLevel, Inputs, Ship, Situation
-from m100link.apps.station.console.view.texts import Quantity, QuantityKind, Text, tr
+from m100link.apps.station.console.view.texts import Quantity, Text, tr
 from m100link.missions.plan import WaypointPlan
 from m100link.protocol.records import Battery, Device, Position, RcMode
 from m100link.telemetry.integrity import MAX_TELEMETRY_AGE
@@ -302,7 +302,8 @@ def _control(ship: Ship) -> tuple[str, Text]:
 def _ship_flies(ship: Ship, position: Position | None) -> Text:
     if position is None:
         return tr("fleet.unknown")
-    height = Quantity(position.height_m, QuantityKind.LENGTH)
+    stands = ship.vehicle.is_on_ground
+    height = tr("instruments.phase.standby") if stands else Quantity.length(position.height_m)
     state = ship.vehicle.state
     by_itself = state.task or state.pattern or state.mission
     if by_itself in ("", "no mission"):

@@ -306,7 +306,7 @@ def test_names_and_reasons_are_said() -> None:
         return english(status_line(replace(FREE, **known)).text)
 
     assert said(holder="Anna") == "Anna has control"
-    assert said(switch=RcMode.A) == "The pilot flies: mode switch in A"
+    assert said(switch=RcMode.A) == "The pilot has control: mode switch in A"
     assert said(connection="lost", fault="the port is gone") == (
         "The link to the aircraft is lost: the port is gone"
     )
@@ -431,7 +431,7 @@ def test_of_one_aircraft_there_is_no_list() -> None:
 @pytest.mark.parametrize(
     ("one", "kind", "said"),
     [
-        (BASE, "free", "the pilot flies"),
+        (BASE, "free", "the pilot has it"),
         (ship(holder=LeaseChanged(3, "tower")), "theirs", "tower has it"),
         (ship(holder=LeaseChanged(3, "me"), is_ours=True), "mine", "you have it"),
         (
@@ -460,7 +460,7 @@ async def test_values_are_shown_while_they_are_new(telemetry: AircraftState) -> 
     flying = ship(telemetry, state=replace(CONNECTED, mission="waypoint"))
     rows = fleet_of([ship(telemetry), flying, ship(telemetry, is_gone=True)])
     said = [(Translator()(row.flies), Translator()(row.battery)) for row in rows]
-    assert said[0][0].endswith(" m")
+    assert said[0][0] == "on the ground"
     assert said[0][1].endswith(" %")
     assert said[1][0] == f"{said[0][0]}, waypoint"
     assert said[2] == ("–", "–")

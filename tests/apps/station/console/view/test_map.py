@@ -104,7 +104,7 @@ def test_an_operator_who_cannot_point_gives_distance_and_bearing() -> None:
 def test_the_preview_is_said_in_the_words_and_units_of_the_operator() -> None:
     view = click_of(Pointed().at(*HERE), FORESEEN, None, has_control=True)
     assert said(view.preview) == "83 m, about 1:15 min, 7.4 % of a battery"
-    assert said(view.preview, Language.GERMAN) == "83 m, etwa 1:15 min, 7,4 % einer Batterie"
+    assert said(view.preview, Language.GERMAN) == "83 m, etwa 1:15 min, 7,4 % eines Akkus"
     assert view.may_fly
     assert view.refusals == ()
     assert view.pointed == Drawing(HERE)
