@@ -58,6 +58,12 @@ async def shows(page: Any, selector: str, text: str) -> None:
     )
 
 
+async def fold(page: Any, name: str, *, is_shown: bool) -> None:
+    """Let a panel over the map be shown, or not."""
+    if await page.evaluate(f"document.body.classList.contains('with-{name}')") is not is_shown:
+        await page.click(f"[data-fold={name}]")
+
+
 async def look_around(page: Any) -> None:
     """What the operator has to say before take-off."""
     # It is checked when the station has taken it, which a busy machine does in its own time.

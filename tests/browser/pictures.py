@@ -24,7 +24,7 @@ from m100link.log.picture import picture as picture_of
 from m100link.log.story import read_story
 from m100link.sim import VirtualClockEventLoop
 from tests.browser.conftest import ARGUMENTS, CHROMIUM, console_in_browser
-from tests.browser.operator import airborne
+from tests.browser.operator import airborne, fold
 from tests.browser.recording import film, record
 from tests.test_examples import load
 
@@ -89,6 +89,11 @@ async def manual() -> None:
             page = await airborne(one)
             for name, (width, height) in SIZES.items():
                 await page.set_viewport_size({"width": width, "height": height})
+                is_phone = min(width, height) < 500  # as it comes up there
+                for panel in ("horizon", "sticks", "camera"):
+                    is_shown = not is_phone or (panel == "sticks" and width > height)
+                    await fold(page, panel, is_shown=is_shown)
+                await page.evaluate("document.activeElement.blur()")
                 await asyncio.sleep(2.0)
                 await picture(page, name)
         await browser.close()

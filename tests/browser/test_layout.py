@@ -14,6 +14,7 @@ from tests.browser.boxes import SIZES, faults
 from tests.browser.conftest import Console, console_in_browser, context_of
 from tests.browser.operator import (
     airborne,
+    fold,
     hold_until,
     in_control,
     look_around,
@@ -51,11 +52,6 @@ MAP_SHARE = """() => {
 TOP = ("#banner", *(f"#values [data-field={name}]" for name in ("battery", "gps", "height")))
 TOP += ("#values [data-field=speed]", "#values [data-field=age]", "[data-act=stop]", "#strip")
 """What stands in every view."""
-
-
-async def fold(page: Any, name: str, *, is_shown: bool) -> None:
-    if await page.evaluate(f"document.body.classList.contains('with-{name}')") is not is_shown:
-        await page.click(f"[data-fold={name}]")
 
 
 async def wrong_at(page: Any, size: tuple[int, int]) -> list[str]:
@@ -143,6 +139,10 @@ async def _fly_there(page: Any, walk: Walk) -> None:
     await hold_until(page, "guide", lambda: page.is_visible("#guided-flying"))
     await walk.see("it flies around a point")
     await walk.share_of_map("it flies around a point", 60.0)
+    landing = page.locator("#task", has_text="landing")
+    await hold_until(page, "land", landing.is_visible)
+    assert await page.inner_text("#problem") == ""  # the circle ended as it was wished
+    await walk.see("it lands")
 
 
 async def _plan(page: Any, walk: Walk) -> None:

@@ -82,7 +82,7 @@ export function start(key) {
   });
 }
 
-let shiftedAt = -Infinity;
+const shiftedAt = new Map();  // by what moves as one
 let isDrawing = false;
 
 function draw() {
@@ -129,7 +129,7 @@ function holdToPress() {
   const begin = (event, button) => {
     if (held || button.disabled || event.button > 0) return;
     // By when the finger came down: on a page that was busy, the shift may be the later of the two.
-    if (event.pointerId !== undefined && event.timeStamp - shiftedAt < SHIFTED_MS)
+    if (event.pointerId !== undefined && event.timeStamp - (shiftedAt.get(ground(button)) ?? -Infinity) < SHIFTED_MS)
       return void button.dispatchEvent(new CustomEvent("shifted", {detail: {}}));
     button.classList.add("holding");
     const timer = setTimeout(() => {
@@ -185,11 +185,21 @@ function holdToPress() {
   window.addEventListener("blur", end);
 }
 
-// What holds a button, or stands below one, came, went or changed its size.
+// What holds a button, or stands below one, came, went or changed its height.
 function noteShifts() {
-  const shifts = new ResizeObserver(() => { shiftedAt = performance.now(); });
-  for (const one of document.querySelectorAll("#dock, .place.prepared > *, .place.steering")) shifts.observe(one);
+  const heights = new Map();
+  const shifts = new ResizeObserver((entries) => {
+    for (const {target} of entries) {
+      if (heights.get(target) === target.offsetHeight) continue;
+      heights.set(target, target.offsetHeight);
+      shiftedAt.set(ground(target), performance.now());
+    }
+  });
+  for (const one of document.querySelectorAll("#dock, .place.prepared > .card, .place.steering")) shifts.observe(one);
 }
+
+// What moves as one: the bar at the bottom, and all that stands above it.
+const ground = (one) => one.closest("#dock") ? "dock" : "above";
 
 // Panels over the map that are there when they are wanted; on a desk from the beginning.
 function foldPanels() {
