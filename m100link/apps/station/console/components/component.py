@@ -326,7 +326,7 @@ class NumberField:
 
 # -- components ------------------------------------------------------------------------------------
 # A component is a class of this folder, in the file of its topic, named in ``console/page.py``
-# under the view that shows it (or in ``components/fly.py``, where one is made of several):
+# under the view that shows it (or in ``PreparedPart``, where one of several is shown):
 #
 #     class Clock:
 #         def __init__(self, page: PageContext) -> None:
@@ -335,8 +335,8 @@ class NumberField:
 #         def update(self, view: ViewModel) -> None:
 #             self._text.set_text(f"{view.at:.0f} s")
 #
-# - The page makes it inside the element that holds it, where it lays itself out: for the views
-#   other than Fly when an operator first looks at that view, so that the page is there soon.
+# - The page makes it inside the element that holds it, where it lays itself out, in a turn of the
+#   loop of its own: for the views other than Fly when an operator first looks at that view.
 # - It calls ``update`` four times a second with one view model for the whole page, only while that
 #   view is looked at. Setting a text that stands there already costs nothing: just set.
 # - A rule about what is shown belongs to ``console/view/``: a test reads it without a browser.
