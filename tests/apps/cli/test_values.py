@@ -394,7 +394,7 @@ def test_a_first_contact_says_whether_control_went_back(
 def shown_mission(at_end: AtEnd = AtEnd.HOVER) -> Any:
     """The display of a mission, on which an aircraft hovers at 9.96 m."""
     state = SimpleNamespace(
-        flight_status=FlightStatus(FlightPhase.IN_AIR), position=SimpleNamespace(height_m=9.96)
+        believed_status=FlightStatus(FlightPhase.IN_AIR), position=SimpleNamespace(height_m=9.96)
     )
     return mission._Show(short_plan(at_end=at_end), cast("Any", SimpleNamespace(state=state)))
 
@@ -433,7 +433,7 @@ def test_a_mission_that_was_left_early_is_told_as_it_is(
 ) -> None:
     show = shown_mission(at_end)
     if on_ground:
-        show._aircraft.state.flight_status = FlightStatus(FlightPhase.STANDBY)
+        show._aircraft.state.believed_status = FlightStatus(FlightPhase.STANDBY)
     for event in events:
         show.tell(event, flown)
     assert show.stopped(flown).startswith(told)

@@ -19,6 +19,7 @@ const bar = (name) => bars[name] ??= {
   style: {setProperty: (property, value) => { bars[name][property] = value; }},
 };
 globalThis.window = {devicePixelRatio: 1};
+globalThis.matchMedia = () => ({matches: false});
 globalThis.document = {
   documentElement: {},
   querySelector: (selector) => bar(selector.match(/data-rc="(\w+)"/)[1]),
