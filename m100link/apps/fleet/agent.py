@@ -56,11 +56,14 @@ _LONG_ORDER_PAUSE_S = 0.02
 
 T = TypeVar("T")
 
-Verify = Callable[[payloads.OrderMessage], None]
-"""Checks an order before anything is done; raises :class:`~m100link.errors.NotAllowed`."""
+Verify = Callable[[payloads.OrderMessage, str], None]
+"""Checks an order to a run of an agent, before anything is done; raises
+:class:`~m100link.errors.NotAllowed`."""
 
 
-def admit(order: payloads.OrderMessage, keys: Keys, kind: type[T], verify: Verify | None) -> T:
+def admit(
+    order: payloads.OrderMessage, keys: Keys, kind: type[T], verify: Verify | None, boot: str
+) -> T:
     """Return what an order asks for; refuse another kind, another aircraft, or a missing right."""
     if not isinstance(order.order, kind):
         raise MessageError(f"{type(order.order).__name__} does not belong under this key")
@@ -68,7 +71,7 @@ def admit(order: payloads.OrderMessage, keys: Keys, kind: type[T], verify: Verif
         there, here = f"{order.site}/{order.aircraft}", f"{keys.site}/{keys.name}"
         raise NotAllowed(f"an order to {there} came to {here}")
     if verify is not None:
-        verify(order)
+        verify(order, boot)
     return order.order
 
 
@@ -309,7 +312,8 @@ class FleetAgent:
     def _begin(self, order: payloads.OrderMessage) -> None:
         if not _ID.fullmatch(order.id):
             raise MessageError("the id of an order is 32 hexadecimal digits")
-        asked, now = admit(order, self._keys, orders.Order, self._verify), self.client.now
+        asked = admit(order, self._keys, orders.Order, self._verify, self.boot)
+        now = self.client.now
         try:
             self._require_now(order, asked, now)
         except M100Error as error:

@@ -85,6 +85,7 @@ class Asker:
         self._clock = asyncio.get_running_loop().time
         # The agent's own clock by the event loop's, from every answer that says what it shows.
         self.its_clock = ClockEstimate()
+        self.its_boot = ""  # the run of the agent that answered last
         # Clocks of several agents that answered; which is the aircraft is unknown.
         self.doubtful_clocks: list[float] = []
 
@@ -124,15 +125,27 @@ class Asker:
             NotAllowed: The agent refused the signer.
             M100Error: The error that the agent reports.
         """
+        asked_at = self._clock()
         if not await self.is_there():
             raise nobody_there(self.keys.name)
         order = self.around(asked, fence, token, clock, identity, since)
         key = self.keys.lease if isinstance(asked, orders.LeaseOrder) else self.keys.command
         within = self.patience if patience is None else patience
-        reply = self._raised(await self._answered(key, order, within))
+        reply = await self._answered(key, order, within)
+        if self._was_news(reply, order):
+            order = self.around(asked, fence, token, self.its_time(asked_at), since=since)
+            reply = await self._answered(key, order, within)
+        self._raised(reply)
         if isinstance(asked, orders.Stop):
             self.hear_of_stop()
         return reply
+
+    def _was_news(self, reply: OrderReply, order: OrderMessage) -> bool:
+        """Whether a refusal told the time there first, by which the order is fresh.
+
+        Where a calendar is wrong nothing else shows its age.
+        """
+        return reply.outcome is Outcome.NOT_ALLOWED and order.boot != self.its_boot
 
     def unstopped_since(self) -> float:
         """Since when this program has heard of no STOP, s; from now on at the latest."""
@@ -209,6 +222,14 @@ class Asker:
         answer cannot be read. Raises OutcomeUnknown: two agents answered, or the reply belongs to
         another order.
         """
+        reply, order = await self._once(key, asked, within, began_at)
+        if reply is not None and self._was_news(reply, order):
+            reply, _ = await self._once(key, asked, within, began_at)
+        return reply
+
+    async def _once(
+        self, key: str, asked: Asked, within: float, began_at: float
+    ) -> tuple[OrderReply | None, OrderMessage]:
         asked_at = self._clock()
         order = self.around(asked, since=self.its_time(began_at))
         # Looked for beside it: what ends a show waits for nothing.
@@ -218,7 +239,7 @@ class Asker:
         reply = self._read(answers, order, asked_at)
         if isinstance(reply, MessageError):
             raise reply
-        return reply
+        return reply, order
 
     def its_time(self, at: float) -> float:
         """The earliest time that its clock may have shown at that time of ours, s; 0: unknown."""
@@ -243,7 +264,9 @@ class Asker:
         """A new order, signed; see :meth:`ask`."""
         head = (identity or uuid.uuid4().hex, self.keys.site, self.keys.name, self._name)
         clock = clock or self.its_clock.at_least(self._clock())
-        made = OrderMessage(*head, fence, self._utc(), asked, clock, since=since, key=key)
+        made = OrderMessage(
+            *head, fence, self._utc(), asked, clock, self.its_boot, since=since, key=key
+        )
         return self._sign(made, token)
 
     async def _answered(self, key: str, order: OrderMessage, patience: float) -> OrderReply:
@@ -313,6 +336,7 @@ class Asker:
             raise
         if isinstance(found, OrderReply):
             self.its_clock.heard(asked_at, found.clock, self._clock())
+            self.its_boot = found.boot or self.its_boot
         return found
 
 

@@ -213,6 +213,7 @@ class FleetChannel(ChannelEnd):
 
     def _greeted(self, hello: messages.Hello) -> bool:
         self._boot = self._boot or hello.name
+        self._asker.its_boot = self._boot
         if hello.version != messages.VERSION:
             self._end(f"it speaks version {hello.version}, this client {messages.VERSION}")
         elif hello.name != self._boot:

@@ -27,7 +27,7 @@ from m100link.apps.fleet.logs.words import LogEntry
 from m100link.apps.fleet.missions.flight import mission_card
 from m100link.apps.fleet.payloads import Card, MissionCard, Result, unpack
 from m100link.apps.fleet.publisher import WALL_WITHIN_S
-from m100link.errors import GuardRefused, M100Error, NotAllowed, OutcomeUnknown
+from m100link.errors import GuardRefused, M100Error, OutcomeUnknown
 
 _ANSWER_S = 1.5
 _LANDINGS_ASKED = 3
@@ -123,11 +123,7 @@ class FleetAircraft:
         Raises:
             FleetError: Unreachable, not allowed, or the outcome is unknown.
         """
-        try:
-            await self.asker.ask(Stop())
-        except NotAllowed:
-            # Where a calendar is wrong. The refusal had the time there, by which it is fresh.
-            await self.asker.ask(Stop())
+        await self.asker.ask(Stop())
 
     async def logs(self) -> list[LogEntry]:
         """The flight logs on board, the newest first.

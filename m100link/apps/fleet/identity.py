@@ -309,8 +309,8 @@ WINDOW_S = 5.0
 STOP_WINDOW_S = 600.0
 """The same for what stops: a wrong clock must keep nobody from stopping an aircraft. A recorded
 stop that somebody repeats in that time stops it once more, which is a nuisance and not a danger.
-A calendar may be wrong by years, as where it has no battery: then the agent's own clock will do,
-whose time a stop or hover says."""
+A calendar may be wrong by years, as where it has no battery, or be set in flight: the agent's own
+clock will do, whose time an order says, with the run of the agent that shows it."""
 
 _PURGED_AT = 1024
 
@@ -397,10 +397,13 @@ class Gate:
         self._seen: dict[tuple[str, str], float] = {}
         self._purged_at = _PURGED_AT
 
-    def check(self, order: OrderMessage, now: float, clock: float = math.nan) -> None:
+    def check(
+        self, order: OrderMessage, now: float, clock: float = math.nan, boot: str = ""
+    ) -> None:
         """Accept an order, and remember its id.
 
-        ``now``: POSIX time, s. ``clock``: the agent's own, which nobody sets, s.
+        ``now``: POSIX time, s. ``clock``: the agent's own, which nobody sets, s. ``boot``: which
+        run of the agent this is.
 
         Raises:
             OrderRefused: It is not acceptable, for that reason.
@@ -433,7 +436,7 @@ class Gate:
                 cause="the file of rights on board does not allow it",
                 remedy=f"write [identity.{who}] {right.name.lower()} = [{self._aircraft!r}] there",
             )
-        until = self._require_fresh(order, now, clock)
+        until = self._require_fresh(order, now, clock, boot)
         if (who, order.id) in self._seen:
             raise OrderRefused(
                 f"order {order.id} of {who} came a second time",
@@ -467,11 +470,14 @@ class Gate:
                 remedy="compare the public_key on board with that of the signer",
             ) from error
 
-    def _require_fresh(self, order: OrderMessage, now: float, clock: float) -> float:
+    def _require_fresh(self, order: OrderMessage, now: float, clock: float, boot: str) -> float:
         """Until when it could come again, POSIX time."""
         is_stop = order.order.right is Right.STOP
         its = order.clock or math.nan  # 0 is no time
-        if isinstance(order.order, Stop | Halt) and abs(clock - its) <= WINDOW_S:
+        # Another run of the agent may have shown the same time: the computer restarted.
+        is_this_run = bool(boot) and order.boot == boot
+        is_known = is_this_run or isinstance(order.order, Stop | Halt)
+        if is_known and abs(clock - its) <= WINDOW_S:
             return max(now, order.at) + STOP_WINDOW_S
         window = STOP_WINDOW_S if is_stop else WINDOW_S
         age = now - order.at

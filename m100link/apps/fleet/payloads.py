@@ -253,6 +253,7 @@ class OrderMessage:
     order: Asked  # what is asked
     # When it was made at the earliest, by the agent's own clock, s; 0: unknown.
     clock: float = 0.0
+    boot: str = ""  # the run of the agent whose clock that is; empty: unknown
     signer: str = ""  # whose signature it is; empty for none
     # Public half of the secret of the lease that it asks for; see
     # :class:`Half`. Empty where it asks for none.

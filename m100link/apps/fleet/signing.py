@@ -34,8 +34,8 @@ def verifying(
     """Return a function that verifies orders on board."""
     gates = {name: Gate(rights, name, began_at=utc(), revoked=revoked) for name in names}
 
-    def verify(order: OrderMessage) -> None:
-        gates[order.aircraft].check(order, utc(), asyncio.get_running_loop().time())
+    def verify(order: OrderMessage, boot: str) -> None:
+        gates[order.aircraft].check(order, utc(), asyncio.get_running_loop().time(), boot)
 
     return verify
 

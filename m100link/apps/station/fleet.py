@@ -112,7 +112,8 @@ def _services(
 ) -> dict[str, Coroutine[Any, Any, None]]:
     verify, revocations = fleet.verify, fleet.revocations
     folder = None if settings.no_record else settings.record
-    show = ShowService(one.client, bus, keys, verify=verify, names=one.duplicates, beside=others)
+    more: dict[str, Any] = {"verify": verify, "names": one.duplicates, "beside": others}
+    show = ShowService(one.client, bus, keys, one.boot, **more)
     served: dict[str, Coroutine[Any, Any, None]] = {
         "fronts": StatePublisher(one.client, bus, keys, one.boot).run(),
         "show": show.run(),

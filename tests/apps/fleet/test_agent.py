@@ -501,7 +501,7 @@ async def test_a_setpoint_flies_once_and_not_after_a_newer_one(rig: Rig) -> None
 
 
 async def test_an_order_for_another_aircraft_and_one_that_is_not_admitted(rig: Rig) -> None:
-    def verify(one: OrderMessage) -> None:
+    def verify(one: OrderMessage, boot: str) -> None:
         if one.by == "stranger":
             raise NotAllowed("stranger may not")
 
@@ -535,7 +535,7 @@ async def test_two_agents_of_one_name_are_refused(rig: Rig) -> None:
 async def test_stop_is_not_kept_waiting_by_long_orders(rig: Rig) -> None:
     """A stranger's flood costs as much time as there is; it waits for what is short."""
     read: list[str] = []
-    await rig.aircraft("a1", verify=lambda one: read.append(one.by))
+    await rig.aircraft("a1", verify=lambda one, _: read.append(one.by))
     bus = rig.network.session()
     async with anyio.create_task_group() as group:
         for _ in range(1000):
@@ -577,7 +577,7 @@ async def test_why_a_setpoint_was_not_flown_reaches_no_later_operator(rig: Rig) 
 async def test_an_old_client_hears_both_versions_and_nothing_is_done(rig: Rig) -> None:
     one = await rig.aircraft("a1")
     spawn, bus = one.agent.background.spawn, rig.network.session()
-    spawn(ShowService(one.client, one.bus, KEYS).run(), "shows")
+    spawn(ShowService(one.client, one.bus, KEYS, one.fleet_agent.boot).run(), "shows")
     spawn(LogService(one.bus, KEYS, None, apart=AtOnce()).run(), "logs")
     await anyio.sleep(0.1)
     for key, payload in OLD_ORDERS.items():
@@ -647,7 +647,7 @@ async def test_what_ends_a_flight_waits_behind_no_other_question(
 
     monkeypatch.setattr(MemoryBus, "serve", served)
     one = await rig.served("a1")
-    show = ShowService(one.client, one.bus, Keys(SITE, "a1"))
+    show = ShowService(one.client, one.bus, Keys(SITE, "a1"), one.fleet_agent.boot)
     one.agent.background.spawn(show.run(), "show")
     await anyio.sleep(0.1)
     keys = Keys(SITE, "a1")

@@ -97,7 +97,7 @@ def test_an_order_of_somebody_who_may_is_let_through() -> None:
 def test_what_is_signed_is_as_the_manual_says() -> None:
     document = (
         b'{"id":"1","site":"field","aircraft":"a1","by":"anna","fence":7,"at":1800000000.0,'
-        b'"order":{"kind":"TakeOff"},"clock":0.0,"signer":"anna","key":"","since":0.0}'
+        b'"order":{"kind":"TakeOff"},"clock":0.0,"boot":"","signer":"anna","key":"","since":0.0}'
     )
     assert order().signed() == b"m100link order 4\n" + bytes(16) + document
     proof = hmac.digest(b"secret", document, "sha256")[:16]
@@ -113,7 +113,7 @@ def test_whatever_is_changed_breaks_the_signature(field: str) -> None:
     changes: dict[str, Any] = {
         **{"id": "2", "site": "wood", "aircraft": "a2", "by": "bert", "fence": 8, "at": NOW + 1},
         **{"order": orders.Land(), "clock": 1.0, "signer": "bert", "key": b"1", "proof": b"1" * 16},
-        "since": 1.0,
+        **{"since": 1.0, "boot": "5c0f8b1e"},
     }
     changed = order(**{field: changes[field]})
     assert reason(changed, ANNA.sign(order())) is Reason.BAD_SIGNATURE

@@ -145,7 +145,9 @@ async def test_the_agent_before_that_was_killed_is_no_namesake(rig: Rig) -> None
 async def test_a_show_begins_with_neither(rig: Rig) -> None:
     one = await rig.aircraft("a1")
     namesakes = one.fleet_agent.duplicates
-    service = ShowService(one.client, one.bus, Keys(SITE, "a1"), names=namesakes)
+    service = ShowService(
+        one.client, one.bus, Keys(SITE, "a1"), one.fleet_agent.boot, names=namesakes
+    )
     running = asyncio.ensure_future(service.run())
     await anyio.sleep(0.1)
     for at in (0.0, 1.0):

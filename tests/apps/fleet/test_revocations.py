@@ -70,7 +70,7 @@ class Site:
         verify = verifying(RIGHTS, ["a1"], self.rig.utc, since)
         self.one: OnBoard = await self.rig.aircraft("a1", verify=verify, revoked=since, **options)
         one, keys = self.one, Keys(SITE, "a1")
-        show = ShowService(one.client, one.bus, keys, verify=verify)
+        show = ShowService(one.client, one.bus, keys, one.fleet_agent.boot, verify=verify)
         self.show = show
         self.service = RevocationService(
             one.bus,

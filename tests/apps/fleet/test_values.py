@@ -253,13 +253,24 @@ def test_a_setpoint_is_proved_and_packed_as_the_page_says() -> None:
 
 
 ORDER = OrderMessage(
-    *("0b" * 16, "field", "kite", "anna", 17, 1_795_420_802.25, TakeOff(), 83.25, "anna"),
+    *(
+        "0b" * 16,
+        "field",
+        "kite",
+        "anna",
+        17,
+        1_795_420_802.25,
+        TakeOff(),
+        83.25,
+        "5c0f8b1e",
+        "anna",
+    ),
     key=bytes(range(32)),
     since=80.5,
 )
 DOCUMENT = (
     '{"id":"' + "0b" * 16 + '","site":"field","aircraft":"kite","by":"anna","fence":17,'
-    '"at":1795420802.25,"order":{"kind":"TakeOff"},"clock":83.25,"signer":"anna",'
+    '"at":1795420802.25,"order":{"kind":"TakeOff"},"clock":83.25,"boot":"5c0f8b1e","signer":"anna",'
     '"key":"AAECAwQFBgcICQoLDA0ODxAREhMUFRYXGBkaGxwdHh8=","since":80.5}'
 ).encode()
 

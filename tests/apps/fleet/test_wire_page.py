@@ -79,7 +79,7 @@ class Foreigner:
         told: dict[str, Any] = {"order": asked, "signer": self._signer, "by": "Jürgen"}
         told |= {"id": uuid.uuid4().hex, "site": SITE, "aircraft": "a1", "fence": fence}
         told |= {"at": self._utc(), "clock": clock, "key": base64.b64encode(key).decode()}
-        told["since"] = 0.0
+        told |= {"boot": "", "since": 0.0}
         # Its own order of names, its own spaces, and letters as they are.
         self.document = document = json.dumps(told, indent=1, ensure_ascii=False).encode()
         proof = hmac.digest(token.encode(), document, "sha256")[:16] if token else bytes(16)

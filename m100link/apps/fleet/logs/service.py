@@ -132,7 +132,7 @@ class LogService:
         question.answer(self._keys.log, payload)
 
     async def _answered(self, order: OrderMessage) -> bytes:
-        question = admit(order, self._keys, LogQuestion, self._verify)
+        question = admit(order, self._keys, LogQuestion, self._verify, "")
         words.require_possible(question)
         return await self._doing[question.what](question, order)
 

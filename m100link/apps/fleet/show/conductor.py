@@ -126,11 +126,15 @@ class Conductor:
             await asyncio.gather(*asked, return_exceptions=True)
 
     async def leave(self) -> None:
-        """Let all of them leave, at any stage; does not wait for those that do not answer."""
-        await asyncio.gather(
-            *(self._ask(track, payloads.LeaveShow(self._run)) for track in self._tracks.values()),
-            return_exceptions=True,
-        )
+        """Let all of them leave, at any stage, and name those that did not confirm it."""
+
+        async def leave(track: TimedTrack) -> None:
+            try:
+                await self._ask(track, payloads.LeaveShow(self._run))
+            except M100Error as error:
+                self._tell(f"{track.name} did not confirm that it leaves: {error.seen}")
+
+        await asyncio.gather(*map(leave, self._tracks.values()), return_exceptions=True)
 
     async def _each(self, do: Callable[[TimedTrack], Any]) -> list[Any]:
         """Something with each at once; the first that fails is raised when all have ended."""

@@ -55,6 +55,7 @@ class ShowService:
         client: AgentClient,  # what knows its agent
         bus: Bus,
         keys: Keys,
+        boot: str,  # which run of the agent it is
         *,
         # Looks at each order; without it the router alone decides who may ask.
         verify: Verify | None = None,
@@ -66,6 +67,7 @@ class ShowService:
         self._client = client
         self._bus = bus
         self._keys = keys
+        self._boot = boot
         self._verify = verify
         self._duplicates = names
         self._beside = beside or Beside()
@@ -124,7 +126,7 @@ class ShowService:
             order: payloads.OrderMessage = payloads.unpack(payloads.OrderMessage, question.payload)
             identity, digest = order.id, order.digest
             if digest not in self._known:  # by its id somebody else's would be taken for it
-                asked = admit(order, self._keys, payloads.ShowOrder, self._verify)
+                asked = admit(order, self._keys, payloads.ShowOrder, self._verify, self._boot)
                 try:
                     self._do(order, asked)
                     self._known[digest] = None
@@ -188,4 +190,6 @@ class ShowService:
             "" if why is None else why.seen,
         )
         now = self._client.now
-        return payloads.OrderReply.done(identity, self._keys.name, "", error, clock=now, show=card)
+        return payloads.OrderReply.done(
+            identity, self._keys.name, self._boot, error, clock=now, show=card
+        )

@@ -70,7 +70,7 @@ async def test_what_is_not_there_or_not_for_it_is_refused_with_its_reason(road: 
 
 
 async def test_a_client_that_may_not_watch_gets_nothing(road: Road) -> None:
-    def verify(order: OrderMessage) -> None:
+    def verify(order: OrderMessage, boot: str) -> None:
         raise NotAllowed("bert may not watch a1")
 
     async with serving(road, verify=verify):
@@ -107,7 +107,7 @@ async def test_so_many_bytes_a_second_leave_it_and_an_early_client_hears_when(ro
 async def test_of_a_flood_few_wait_and_the_rest_is_not_even_read(road: Road) -> None:
     reads = 0
 
-    def verify(order: OrderMessage) -> None:
+    def verify(order: OrderMessage, boot: str) -> None:
         nonlocal reads
         reads += 1
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from itertools import combinations
 from math import dist
@@ -56,6 +56,7 @@ class Company:
         self.performing: list[ShowService] = []
         self.services: list[asyncio.Task[None]] = []
         self.told: list[str] = []
+        self.off = 0.0  # by which the calendars on board are wrong, s
 
     async def come(self) -> None:
         for index, track in enumerate(self.show.tracks):
@@ -64,8 +65,10 @@ class Company:
             settings = AircraftSettings(latitude_deg=place[0], longitude_deg=place[1])
             virtual = VirtualAircraft(seed=index, settings=settings)
             one = await self.rig.aircraft(track.name, virtual=virtual)
-            verify = verifying(RIGHTS, [track.name], self.rig.utc)
-            service = ShowService(one.client, one.bus, Keys(SITE, track.name), verify=verify)
+            verify = verifying(RIGHTS, [track.name], lambda: self.rig.utc() + self.off)
+            service = ShowService(
+                one.client, one.bus, Keys(SITE, track.name), one.fleet_agent.boot, verify=verify
+            )
             self.performing.append(service)
             self.services.append(asyncio.ensure_future(service.run()))
             self.on_board.append(one)
@@ -454,3 +457,32 @@ async def test_a_track_that_the_guards_on_board_do_not_let_fly_is_not_begun(rig:
         with pytest.raises(M100Error, match=r"its guards allow 1\.0 m/s"):
             await made.conductor().fly()
         assert made.on_board[1].height == 0
+
+
+def all_are(made: Company, stage: ShowStage) -> Callable[[], bool]:
+    return lambda: {one.performer.stage for one in made.performing} == {stage}
+
+
+async def test_calendars_that_differ_let_all_leave_a_show(rig: Rig) -> None:
+    async with company(rig, 2) as made:
+        conductor = made.conductor(leave="hover")
+        flight = asyncio.ensure_future(conductor.fly())
+        await rig.until(all_are(made, ShowStage.FLYING))
+        await anyio.sleep(8.0)
+        made.off = 86_400.0  # set in flight
+        await conductor.leave()
+        assert all_are(made, ShowStage.LEFT)()
+        await flight
+
+
+async def test_who_does_not_confirm_that_it_leaves_is_named(rig: Rig) -> None:
+    async with company(rig, 3) as made:
+        conductor = made.conductor(leave="hover")
+        flight = asyncio.ensure_future(conductor.fly())
+        await rig.until(all_are(made, ShowStage.READY))
+        rig.network.cut(made.on_board[1].bus)
+        flight.cancel()
+        await asyncio.wait([flight])
+        name = made.show.tracks[1].name
+        said = [one for one in made.told if "did not confirm" in one]
+        assert said == [f"{name} did not confirm that it leaves: {name} does not answer"]

@@ -60,7 +60,7 @@ class Conductor:
     async def come(self) -> None:
         settings = AircraftSettings(latitude_deg=ORIGIN[0], longitude_deg=ORIGIN[1])
         one = await self.rig.aircraft("a1", virtual=VirtualAircraft(seed=5, settings=settings))
-        self.service = ShowService(one.client, one.bus, Keys(SITE, "a1"))
+        self.service = ShowService(one.client, one.bus, Keys(SITE, "a1"), "run")
         self.running = asyncio.ensure_future(self.service.run())
         await anyio.sleep(0.1)
 
@@ -257,7 +257,7 @@ async def test_two_that_one_process_serves_hear_each_other(asked: Conductor) -> 
     services = []
     for name in ("b1", "b2"):
         one = await asked.rig.aircraft(name, virtual=VirtualAircraft(seed=5, settings=settings))
-        services.append(ShowService(one.client, bus, Keys(SITE, name), beside=beside))
+        services.append(ShowService(one.client, bus, Keys(SITE, name), "run", beside=beside))
     running = [asyncio.ensure_future(one.run()) for one in services]
     await anyio.sleep(0.1)
     for service, name in zip(services, ("b1", "b2"), strict=True):
