@@ -460,6 +460,7 @@ class Motors:
             TelemetryStalled: Nobody knows whether it is on the ground; nothing was sent.
             CommandNotSupported: The firmware is older; nothing was sent.
             AckTimeout: Nobody knows whether they stand.
+            NotObserved: It took the order, and telemetry shows that it does not stand.
         """
         self._make_way("disarm")
         on_ground = await stands(self._commander.state)
@@ -473,4 +474,12 @@ class Motors:
             code, seen = ArmCode.IN_THE_AIR, "the aircraft is in the air"
             raise _refused("disarm", self._commander, code, str(int(code)), seen)
         await switch_motors(self._commander, on=False)
+        phase = await _phase_shown(self._commander.state)
+        if phase not in (None, FlightPhase.STANDBY):
+            raise NotObserved(
+                f"the aircraft took the order to stop its motors, and tells of {phase.name}",
+                situation=self._commander.state.situation(),
+                cause="it answered about another order, or took off meanwhile",
+                remedy="look at the aircraft; the motors may run",
+            )
         self._on_armed(False)

@@ -13,6 +13,7 @@ from m100link import (
     FlightPhase,
     GuardRefused,
     NoAuthority,
+    NotObserved,
     Setpoint,
     TaskFailed,
     TaskRefused,
@@ -22,7 +23,7 @@ from m100link.flight.stop_path import StopAction
 from m100link.protocol.codes import ArmCode
 from m100link.protocol.commands.control import Arm
 from m100link.sim import AircraftSettings, AssistantSettings
-from tests.rig import NORTH, Rig, rig
+from tests.rig import NORTH, Rig, put_in_the_air, rig
 
 pytestmark = pytest.mark.anyio
 
@@ -252,3 +253,20 @@ async def test_motors_that_waited_for_the_guards_do_not_start_behind_the_block(
         await asked[0]
     assert arms(flown) == []
     assert not flown.is_running
+
+
+async def test_motors_that_are_said_to_stop_in_the_air_are_not_believed_to(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """It takes off as it answers: somebody else's hand, or an answer about another order."""
+    async with rig(firmware="3.1") as flown, flown.aircraft.control() as control:
+        await control.arm()
+        flight = flown.virtual.vehicle.flight
+
+        def take(*_: object) -> ArmCode:
+            put_in_the_air(flown.virtual)
+            return ArmCode.DONE
+
+        monkeypatch.setattr(flight, "arm", take)
+        with pytest.raises(NotObserved, match="tells of IN_AIR"):
+            await control.disarm()

@@ -27,7 +27,7 @@ from m100link.flight.missions.events import (
     RunState,
     mission_refused,
 )
-from m100link.flight.missions.mission_session import MissionSession, order
+from m100link.flight.missions.mission_session import MissionEnding, MissionSession, order
 from m100link.protocol.codes import MissionCode
 from m100link.protocol.command import Command
 from m100link.protocol.records import FlightPhase, FlightStatus
@@ -172,6 +172,18 @@ class MissionGuard:
         if self._run is not None and self._run.state is RunState.DETACHED:
             self._run = None
         return stopped
+
+    async def stopped_any(self) -> MissionKind:
+        """The same, seen by pushes. Raises ``NotObserved``: they go on to report it."""
+        if (ours := self._ours) is not None:
+            await ours.stop_seen()
+            return ours.kind
+        kind = await self.stop_any()
+        if kind.is_mission:
+            ending = MissionEnding(self._commander, kind)
+            ending.tell()
+            await ending.require_over()
+        return kind
 
     async def order_any(self, what: Ordered) -> MissionKind:
         """Pause or resume the mission that flies, which the pushes have to show.
@@ -389,6 +401,7 @@ class MissionFlight(ABC):
             MissionRefused: With the aircraft's reason.
             MissionAborted: It was broken off meanwhile.
             AckTimeout: Nobody knows whether it hovers.
+            NotObserved: It took the pause, and is seen to fly on.
             UsageError: It is over.
         """
         await self._run.order("pause")
@@ -401,9 +414,10 @@ class MissionFlight(ABC):
         """Stop it for good: the aircraft hovers and forgets the mission.
 
         Raises:
-            AckTimeout, MissionRefused: It may be flying on; leaving the block tries again.
+            AckTimeout, MissionRefused, NotObserved: It may be flying on; leaving the block tries
+                again.
         """
-        await self._run.stop()
+        await self._run.stop_seen()
 
     def detach(self) -> None:
         """Let it fly on by itself when this block, and this program, end.

@@ -16,6 +16,7 @@ from m100link.errors import (
     M100Error,
     MissionAborted,
     MissionRefused,
+    NotObserved,
     UsageError,
 )
 from m100link.flight.cancellation import ShieldedTask
@@ -47,7 +48,7 @@ from m100link.flight.tasks import Commander, is_on_ground
 from m100link.protocol.codes import MissionCode
 from m100link.protocol.command import Request
 from m100link.protocol.commands.missions import MissionStatus, Uploaded, WaypointEvent
-from m100link.protocol.records import FlightPhase, FlightStatus
+from m100link.protocol.records import FlightPhase, FlightStatus, Velocity
 
 _logger = logging.getLogger(__name__)
 
@@ -58,6 +59,7 @@ _logger = logging.getLogger(__name__)
 
 
 _GOES_ON_S = 3.0  # after it, pushes of its kind count as about the same mission
+_SHOWN_S = 1.3  # behind a stop; pushes that tell of what it ended are under way for a second
 _HEARD_OUT_S = 0.6  # until when contradicting pushes are waited for at most
 _MAY_FLY_A_MISSION = (FlightPhase.TAKING_OFF, FlightPhase.IN_AIR)
 
@@ -112,11 +114,32 @@ class MissionEnding:
                 return
             await asyncio.sleep(0.02)
 
+    async def require_over(self) -> None:
+        """Wait until pushes show the end that an answer told; ``NotObserved``: they do not.
+
+        Pushes that were under way as the answer left are not counted.
+        """
+        watch = self._watch
+        until = self.over_at + _SHOWN_S + self._commander.link.latency.slack_s
+        while watch.received_at <= self.over_at:
+            if watch.received_at < self.over_at - DENIED_S or self._clock() >= until:
+                return  # nothing is pushed, or not any more
+            await asyncio.sleep(0.02)
+        await asyncio.sleep(DENIED_S)  # one push alone may be wrong
+        if self.is_contradicted:
+            raise NotObserved(
+                f"the aircraft took the stop of the {self._kind.value}, and reports it still",
+                cause="it answered about another order, or pushes are of another mission",
+                remedy="take the aircraft by the mode switch: that ends the mission",
+            )
+
 
 # -- run -------------------------------------------------------------------------------------------
 
 _START_S = 0.5  # for the ack of one transmission of a start
 _LOOK_S = 0.2  # between two looks at guards, pushes and telemetry
+_BRAKES_S = 6.0  # in which a pause stops 15 m/s, the fastest that a mission flies
+_HOVERS_M_S, _HOVERS_FOR_S = 1.0, 0.4
 _PROGRESS_S = 1.0
 _QUIET_S = 2.0  # without a push, after which the aircraft is asked instead
 _POLL_S = 1.0
@@ -129,6 +152,29 @@ async def order(commander: Commander, kind: MissionKind, what: Ordered) -> None:
     code = await commander.requests.execute(request, timeout=0.5, tries=3, refusal=MissionRefused)
     if code not in DONE_CODES[what]:
         raise mission_refused(f"the {what} of the {kind.value}", code)
+    if what == "pause":
+        await _require_hover(commander, kind)
+
+
+async def _require_hover(commander: Commander, kind: MissionKind) -> None:
+    """Wait until its velocity, where it is known, shows that it hovers; ``NotObserved``: not so."""
+    clock = commander.link.loop.time
+    until = clock() + _BRAKES_S + commander.link.latency.slack_s
+    since = clock()  # for how long it has been slow
+    while (velocity := known(commander.state, Velocity)) is not None:
+        now, speed = clock(), math.hypot(velocity.ground_speed_m_s, velocity.up_m_s)
+        if speed >= _HOVERS_M_S:
+            since = now
+        elif now - since >= _HOVERS_FOR_S:
+            return
+        if now >= until:
+            raise NotObserved(
+                f"the aircraft took the pause of the {kind.value}, and flies on at {speed:.1f} m/s",
+                situation=commander.state.situation(),
+                cause="it answered about another order, or wind drives it",
+                remedy="stop the mission, or take the aircraft by the mode switch",
+            )
+        await asyncio.sleep(_LOOK_S)
 
 
 AUTHORITY_CODES = frozenset(
@@ -166,6 +212,7 @@ class MissionSession:
         # Whether pushes showed its end during a stop, for the case that nobody answers the stop.
         self._is_seen_over = False
         self._stopping: ShieldedTask | None = None  # the newest attempt
+        self._is_others = False  # the aircraft refused it, because somebody else has it
         self._early: list[MissionEvent | Over] = []  # what was pushed while the start was under way
         self._watching: asyncio.Task[None] | None = None
 
@@ -300,6 +347,12 @@ class MissionSession:
         if self.state is RunState.STOPPING and self._stopping is not None:
             await self._stopping.ended()
 
+    async def stop_seen(self) -> None:
+        """The same, and wait until pushes show it. Raises ``NotObserved``: they do not."""
+        await self.stop()
+        if not self._is_others:
+            await self.ending.require_over()
+
     async def _send_stop(self) -> None:
         requests = self._context.commander.requests
         try:
@@ -311,7 +364,8 @@ class MissionSession:
                 self._end(RunInput.STOPPED)
                 return
             raise self._unanswered() from error
-        if code in AUTHORITY_CODES:
+        self._is_others = code in AUTHORITY_CODES
+        if self._is_others:
             _logger.warning(
                 "the stop of the %s was refused, because somebody else has the aircraft: %s",
                 self.name,
@@ -358,7 +412,7 @@ class MissionSession:
             await self.ending.heard_out()
         if self.owes_a_stop and self._context.block.is_open:
             try:
-                await self.stop()
+                await self.stop_seen()
             except M100Error as failure:
                 if error is None:
                     raise

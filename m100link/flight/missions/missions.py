@@ -186,14 +186,18 @@ class Missions:
 
         Raises:
             MissionRefused: With the aircraft's reason.
+            NotObserved: It took the stop, and reports that the mission flies on.
             NoAuthority, AckTimeout, LinkError: See each class.
         """
         self._context.block.require_flying("the stop of a mission")
         with self._context.block.waiting("stop_mission"):
-            return await self._guard.stop_any()
+            return await self._guard.stopped_any()
 
     async def pause_mission(self) -> MissionKind:
-        """Pause any mission that flies, also somebody else's. Raises as :meth:`stop_mission`."""
+        """Pause any mission that flies, also somebody else's: done when it is seen to hover.
+
+        Raises as :meth:`stop_mission`; ``NotObserved``: it took the pause, and flies on.
+        """
         self._context.block.require_flying("the pause of a mission")
         with self._context.block.waiting("pause_mission"):
             return await self._guard.order_any("pause")

@@ -4,16 +4,31 @@ from __future__ import annotations
 
 import asyncio
 import struct
-from contextlib import suppress
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager, suppress
+from typing import Any
 
 import pytest
 
-from m100link import AckTimeout, MissionKind, MissionRefused, MissionRunning, UsageError
+from m100link import (
+    AckTimeout,
+    Control,
+    MissionKind,
+    MissionRefused,
+    MissionRunning,
+    NotObserved,
+    UsageError,
+    Waypoint,
+    WaypointFlight,
+    WaypointPlan,
+)
 from m100link.flight.authority import AuthorityState
 from m100link.flight.stop_path import StopAction
+from m100link.geodesy import LocalFrame
+from m100link.protocol.codes import MissionCode
 from tests.flight.foreign_aircraft import ONBOARD, ForeignInMemory
 from tests.flight.missions.foreign import assert_rests, foreign, orders, plan
-from tests.rig import NORTH
+from tests.rig import NORTH, Rig, rig
 
 pytestmark = pytest.mark.anyio
 
@@ -230,3 +245,81 @@ async def test_a_detached_mission_is_called_that_where_something_is_refused_besi
         with pytest.raises(MissionRunning, match="it was detached"):
             control.send(NORTH)
         assert there.missions.flying
+
+
+# -- an ack alone stops and pauses nothing ---------------------------------------------------------
+
+
+def away(flown: Rig, north: float) -> tuple[float, float]:
+    """Latitude and longitude of a place so many metres to the north, °."""
+    here = flown.aircraft.state.position
+    assert here is not None
+    return LocalFrame(here.latitude_deg, here.longitude_deg).to_geodetic(north, 0.0)
+
+
+def circle_around(flown: Rig) -> dict[str, Any]:
+    latitude, longitude = away(flown, 10.0)
+    center = {"latitude_deg": latitude, "longitude_deg": longitude}
+    return {**center, "height": 10.0, "radius": 10.0, "rate_deg_s": 15.0}
+
+
+@asynccontextmanager
+async def disobedient(
+    monkeypatch: pytest.MonkeyPatch, what: str
+) -> AsyncIterator[tuple[Rig, Control, WaypointFlight]]:
+    """An aircraft that flies a mission; it takes an order about it, and flies on."""
+    async with rig(firmware="3.1") as flown, flown.aircraft.control() as control:
+        await control.take_off()
+        ways = [Waypoint(*away(flown, north), height=10.0) for north in (120.0, 140.0)]
+        plan = WaypointPlan(ways, speed=5.0)
+        async with control.waypoint_mission(plan) as mission:
+            await asyncio.sleep(12.0)
+            assert flown.speed > 3.0
+            with monkeypatch.context() as patched:
+                missions = flown.virtual.vehicle.missions
+                patched.setattr(missions, what, lambda *_: MissionCode.SUCCESS)
+                yield flown, control, mission
+
+
+@pytest.mark.parametrize("by", ["mission", "control"])
+async def test_a_pause_that_is_taken_and_not_carried_out_raises(
+    by: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with disobedient(monkeypatch, "pause") as (flown, control, mission):
+        pause = mission.pause if by == "mission" else control.pause_mission
+        with pytest.raises(NotObserved, match=r"took the pause .* flies on at 5\.\d m/s"):
+            await pause()
+        assert not mission.is_paused
+        assert flown.speed > 3.0
+
+
+async def test_a_pause_is_done_when_it_hovers() -> None:
+    async with rig(firmware="3.1") as flown, flown.aircraft.control() as control:
+        await control.take_off()
+        async with control.hotpoint(**circle_around(flown)) as circle:
+            await asyncio.sleep(12.0)
+            await circle.pause()
+            assert flown.speed < 1.0
+
+
+@pytest.mark.parametrize("by", ["mission", "control"])
+async def test_a_stop_that_is_taken_and_not_carried_out_raises(
+    by: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with disobedient(monkeypatch, "stop") as (flown, control, mission):
+        stop = mission.stop if by == "mission" else control.stop_mission
+        began_at = flown.now
+        with pytest.raises(NotObserved, match=r"took the stop .* reports it still"):
+            await stop()
+        assert flown.now - began_at < 2.5
+        assert flown.speed > 3.0
+
+
+async def test_a_stop_that_is_carried_out_waits_for_two_pushes_only() -> None:
+    async with rig(firmware="3.1") as flown, flown.aircraft.control() as control:
+        await control.take_off()
+        async with control.hotpoint(**circle_around(flown)) as circle:
+            await asyncio.sleep(12.0)
+            began_at = flown.now
+            await circle.stop()
+            assert flown.now - began_at < 0.6

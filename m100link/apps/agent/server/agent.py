@@ -50,7 +50,6 @@ _LONGEST_STEP = 0.3
 _LOST_MEANWHILE, _STOPPED = "control was lost meanwhile", "STOP was pressed"
 _HOVERED = "a hover was ordered"
 _LEAVES_S = 0.05  # in which the stop of a mission has left, before anybody hears of a STOP
-_SHOWN_S = 1.3  # after the stop of a mission: pushes that tell of it are under way for a second
 _PAUSE_S = 1.0  # without a setpoint or order; the next is meant anew, though not after STOP
 
 _LOST = (LeaseChange.EXPIRED, LeaseChange.FRONT_LOST)
@@ -412,22 +411,19 @@ class Agent:
 
     async def _is_rid_of_missions(self, flying: ActiveFlight) -> bool:
         """Wait for the stop of any mission; False: the aircraft may fly it on."""
-        own, aircraft, is_in_task = flying.mission, self.connection.aircraft, flying.is_in_task
-        is_stopped = own.is_flying
+        own, aircraft = flying.mission, self.connection.aircraft
+        was_own = own.is_flying
         await own.ended()
-        if own.is_flying or aircraft is None:
+        if own.is_flying or aircraft is None or not aircraft.mission.is_running:
             return not own.is_flying
-        if not is_stopped and not aircraft.mission.is_running:
-            return True
+        if was_own:  # it took the stop, and reports that it flies on
+            return False
         try:
-            if not is_stopped:
-                await flying.order_mission("stop")  # somebody else's
+            await flying.order_mission("stop")  # somebody else's
         except M100Error as error:
             self.journal.note(error.seen, "error")
             return False
-        if not is_in_task:  # which ends by more than that, at once
-            await asyncio.sleep(_SHOWN_S)  # an ack alone stops nothing
-        return own.is_flying or not aircraft.mission.is_running  # own: another one, begun since
+        return not own.is_flying
 
 
 # -- a handler for each order ----------------------------------------------------------------------
