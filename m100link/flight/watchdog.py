@@ -29,6 +29,9 @@ _WITH_SLEEP = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)  # on macOS 
 _NOTICED_S = 0.1
 _READINGS = 3
 
+SUSPENDED_S = 1.0
+"""Seconds by which what was sent during a suspend may seem to be from after it."""
+
 
 def asleep_s() -> float:
     """Return the seconds for which the computer was suspended since it started, plus a constant."""
@@ -49,11 +52,24 @@ class SuspendWatch:
     def __init__(self) -> None:
         # The largest of some readings is the one between which the process was not stopped.
         self._before_s = max(asleep_s() for _ in range(_READINGS))
+        self._void_until = -math.inf
 
     def slept_s(self) -> float:
         """Return for how long the computer was suspended, s; 0 when it was not."""
         slept = asleep_s() - self._before_s
         return slept if slept > _NOTICED_S else 0.0
+
+    def void_until(self, now: float) -> float:
+        """Up to when orders may be from before the computer woke, s of the event loop's clock.
+
+        What was sent in the first second of a suspend waits in the line, and looks new by a clock
+        that stood still. To be asked once a second, and before each order. ``now``: s.
+        """
+        slept = self.slept_s()
+        if slept:
+            self._before_s += slept
+            self._void_until = now + SUSPENDED_S
+        return self._void_until
 
 
 # -- check that the aircraft follows setpoints: the wire to it may be broken while all else wor ----

@@ -27,7 +27,7 @@ from m100link.apps.agent.messages import Event, EventTopic, MessageError, Teleme
 from m100link.apps.agent.orders import Age, Right
 from m100link.apps.bus.network import Bus, Held, Question
 from m100link.apps.fleet import payloads
-from m100link.apps.fleet.expiry import Dropped, OrderExpiry, SetpointStream, broken, require_young
+from m100link.apps.fleet.expiry import Dropped, OrderExpiry, SetpointStream, broken
 from m100link.apps.fleet.identity import Since, nobody
 from m100link.apps.fleet.keys import Keys
 from m100link.apps.fleet.lost_link import LastFlight, LostLinkAction, LostLinkPlan
@@ -213,6 +213,7 @@ class FleetAgent:
         while True:
             self._state.put_later(lambda: payloads.pack(self.card()))
             self._look_for_duplicates()
+            self._ages.look(self.client.now)
             await asyncio.sleep(max(0.0, due - clock()))
             due += _CARD_S * (1 + max(0.0, clock() - due) // _CARD_S)
 
@@ -337,7 +338,7 @@ class FleetAgent:
             if self._orders.lease_for(order, asked) is not None:
                 self._ages.hear(order.fence, asked.after_stop, order.clock, now)
         elif asked.age is Age.YOUNG or (asked.age is Age.YOUNG_IF_KNOWN and order.clock):
-            require_young(order.clock, now)
+            self._ages.require_young(asked.after_stop, order.clock, now)
         if asked.right is Right.STOP:
             self._ages.revoke(now)
 

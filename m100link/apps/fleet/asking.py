@@ -141,7 +141,7 @@ class Asker:
         return reply
 
     def _was_news(self, reply: OrderReply, order: OrderMessage) -> bool:
-        """Whether a refusal told the time there first, by which the order is fresh.
+        """Whether a refusal is the first to show the time there, by which the order is fresh.
 
         Where a calendar is wrong nothing else shows its age.
         """

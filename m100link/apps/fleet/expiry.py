@@ -13,6 +13,7 @@ from enum import Enum
 from m100link.apps.agent.messages import Steer
 from m100link.apps.agent.orders import AfterStop
 from m100link.errors import GuardRefused
+from m100link.flight.watchdog import SUSPENDED_S, SuspendWatch
 
 ORDER_AGE = "order_age"
 """Name of the guard: an order that it refuses was not carried out."""
@@ -20,13 +21,14 @@ ORDER_AGE = "order_age"
 MOST_AGE_S = 5.0
 """Seconds after which an order is not begun any more, by the agent's clock: nobody counts on it."""
 
-MOST_AHEAD_S = 1.0
+MOST_AHEAD_S = SUSPENDED_S
 """Seconds by which an order may seem to be made later than now. More is a time from before the
 agent's computer restarted, and says nothing of its age."""
 
 
 class OrderExpiry:
     def __init__(self) -> None:
+        self._suspended = SuspendWatch()
         self.not_before = -math.inf  # what was made before that time has been revoked
         # Of the order that was made last of those that were heard: number of its lease, and when.
         self._newest = (0, -math.inf)
@@ -51,9 +53,19 @@ class OrderExpiry:
         earliest, s. ``began_at``: when the request began of which it is a step, s; by default as
         it. ``now``: s.
         """
-        require_young(made_at, now)
+        self.require_young(behind, made_at, now)
         if min(made_at, began_at) <= self.not_before and behind is not AfterStop.DONE:
             raise _late("stop, hover or landing was asked for after it was made", made_at, now)
+
+    def require_young(self, behind: AfterStop, made_at: float, now: float) -> None:
+        """Refuse an order that nobody waits for any more, whatever else was asked for since."""
+        require_young(made_at, now)
+        if made_at <= self.look(now) and behind is not AfterStop.DONE:
+            raise _late("this computer was suspended meanwhile", made_at, now)
+
+    def look(self, now: float) -> float:
+        """Notice a suspend of this computer, once a second; returns until when orders are void."""
+        return self._suspended.void_until(now)
 
 
 def require_young(made_at: float, now: float) -> None:

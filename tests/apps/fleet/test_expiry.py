@@ -130,3 +130,22 @@ def test_a_stream_that_was_cut_does_not_go_on_until_it_is_begun(stream: Setpoint
     assert drop(stream, again + 0.05, again + 0.05) is Dropped.BROKEN, "that does not begin it"
     assert drop(stream, again + 0.1, again + 0.1, begins=True) is None
     assert drop(stream, again + 0.15, again + 0.15) is None
+
+
+@pytest.mark.parametrize("ahead_s", [-4.0, 0.0, 0.5, 0.99])
+def test_what_was_sent_in_the_first_second_of_a_suspend_is_not_begun(
+    monkeypatch: pytest.MonkeyPatch, ahead_s: float
+) -> None:
+    """The clock of its asker went on; that of a suspended agent stood still, and looks new."""
+    slept = [0.0]
+    monkeypatch.setattr("m100link.flight.watchdog.asleep_s", lambda: slept[0])
+    ages = OrderExpiry()
+    ages.hear(1, ANEW, 10.0, 10.1)
+    slept[0] = 3600.0
+    with pytest.raises(GuardRefused, match="this computer was suspended meanwhile"):
+        ages.hear(1, ANEW, 20.0 + ahead_s, 20.0)
+    with pytest.raises(GuardRefused, match="this computer was suspended meanwhile"):
+        ages.require_young(AfterStop.IF_NEWER, 20.0 + ahead_s, 20.0)
+    ages.require_young(AfterStop.DONE, 20.0 + ahead_s, 20.0)  # what ends something is done
+    ages.hear(1, ANEW, 21.1, 21.1)
+    ages.hear(1, ANEW, 22.0, 22.0)

@@ -34,6 +34,7 @@ from m100link.errors import AuthorityLost, GuardRefused, M100Error, UsageError
 from m100link.flight.guards import Envelope, Guards
 from m100link.flight.missions.hotpoint import HotpointFlight
 from m100link.flight.missions.waypoint import WaypointFlight
+from m100link.flight.watchdog import SuspendWatch
 from m100link.protocol.commands.activation import Credentials
 from m100link.protocol.commands.control import Task
 from m100link.protocol.commands.gimbal import GimbalAngleMode
@@ -49,6 +50,7 @@ _LONGEST_STEP = 0.3
 
 _LOST_MEANWHILE, _STOPPED = "control was lost meanwhile", "STOP was pressed"
 _HOVERED = "a hover was ordered"
+_SUSPENDED = "the computer of the agent was suspended"
 _LEAVES_S = 0.05  # in which the stop of a mission has left, before anybody hears of a STOP
 _PAUSE_S = 1.0  # without a setpoint or order; the next is meant anew, though not after STOP
 
@@ -116,6 +118,7 @@ class Agent:
         self._stopped_at = -math.inf  # when STOP came last, s
         # The same, or when a client without the lease ordered a hover, and which of both.
         self._overtaken = -math.inf, _STOPPED
+        self._suspended = SuspendWatch()
         self.holding.on_lost.append(self._authority_lost)
         #: Called after each change with the reason, the lease in force, or None, and what was
         #: flown for the one before.
@@ -134,6 +137,7 @@ class Agent:
     async def __aenter__(self) -> Self:
         self.background.spawn(self.connection.keep(), "connection")
         self.background.spawn(self._watch_lease(), "lease")
+        self.background.spawn(self._look_for_suspends(), "suspends")
         return self
 
     async def __aexit__(self, *_: object) -> None:
@@ -141,6 +145,11 @@ class Agent:
             await self.give_back()  # first: the tasks that end next keep the line
         finally:
             await self.background.end()
+
+    async def _look_for_suspends(self) -> None:
+        while True:
+            self._suspended.void_until(self.now)
+            await asyncio.sleep(1.0)
 
     def _aircraft_changed(self, aircraft: Aircraft | None) -> None:
         if aircraft is not None and self.replay is not None:
@@ -250,6 +259,7 @@ class Agent:
         """
         # A front or an agent that stood still reads and sends in another order than people acted.
         orders.require_newer(order, at, *self._overtaken)
+        orders.require_newer(order, at, self._suspended.void_until(self.now), _SUSPENDED)
         if order.needs is Needs.LEASE_IF_HELD:
             if self.leases.holder(self.now) is not None:
                 self.leases.check(token, self.now)

@@ -90,6 +90,7 @@ class ShowService:
             stack.callback(self._beside.hear(self._hear))
             while True:
                 # Whatever fails here: the track is flown by another task, which sees to that.
+                self.performer.ages.look(self._client.now)
                 with goes_on("the telling of its place"):
                     ahead = self.performer.ahead()
                     if ahead is not None:

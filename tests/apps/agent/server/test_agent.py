@@ -21,7 +21,7 @@ from m100link.aircraft import Aircraft
 from m100link.apps.agent import orders
 from m100link.apps.agent.background import ignore
 from m100link.apps.agent.lease import Flown, LeaseChange, LeaseRefused, TakeOver
-from m100link.apps.agent.orders import ORDERS, ChangeHeight
+from m100link.apps.agent.orders import ORDERS, AfterStop, ChangeHeight
 from m100link.apps.agent.server.authority import HoldingState
 from m100link.apps.agent.server.connection import ConnectionState
 from m100link.errors import (
@@ -32,6 +32,7 @@ from m100link.errors import (
     TaskRefused,
     UsageError,
 )
+from m100link.flight.watchdog import SuspendWatch
 from m100link.missions.plan import Waypoint, WaypointPlan
 from m100link.protocol.commands.gimbal import GimbalAngle
 from m100link.protocol.commands.hotpoint import HotpointStart
@@ -731,3 +732,23 @@ async def test_an_end_that_is_cancelled_leaves_no_task_of_the_agent_behind() -> 
     assert not {name for name in left if name.startswith("m100link: ")}
     assert rig.agent.connection.aircraft is None
     rig.driver.stop()
+
+
+@pytest.mark.parametrize("woke_s_ago", [0.0, 0.9])
+async def test_what_waited_in_the_line_of_a_suspended_computer_moves_nothing(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch, woke_s_ago: float
+) -> None:
+    """Both clocks stood still, so it looks new: of a laptop that was opened after an hour."""
+    agent, slept = rig.agent, [0.0]
+    monkeypatch.setattr("m100link.flight.watchdog.asleep_s", lambda: slept[0])
+    agent._suspended = SuspendWatch()
+    await airborne(rig)
+    slept[0] = 3600.0
+    await asyncio.sleep(woke_s_ago)
+    for kind in (order for order in ORDERS.values() if order.after_stop is not AfterStop.DONE):
+        with pytest.raises(GuardRefused, match="the computer of the agent was suspended after"):
+            agent.begin(example(kind), rig.token, ignore, agent.now)
+    agent.begin(orders.Halt(), rig.token, ignore, agent.now)
+    await agent.begin(orders.Release(), rig.token, ignore, agent.now)
+    await asyncio.sleep(2.1)
+    await agent.begin(orders.Obtain(), rig.token, ignore, agent.now)
