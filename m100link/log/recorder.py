@@ -175,6 +175,8 @@ MAX_WAITING = 16_000_000
 # Besides its bytes: a tuple, a time and a bytes object; a dictionary of counters.
 _EACH_CHUNK, _EACH_REPORTED = 150, 3000
 
+HANGS_S = 3.0  # a disk that has taken nothing for so long
+_JOIN_S = 0.1
 END_TIMEOUT_S = 15.0
 """How long closing waits for the disk; one that others write to takes seconds for a last piece."""
 
@@ -237,6 +239,7 @@ class Recorder:
         self._timer: asyncio.TimerHandle | None = None
         self._is_taken = False  # by a connection
         self._is_ended = False
+        self._alive_at = time.monotonic()  # when the thread last came back from the disk
         # Bytes of memory, each counted by one side alone: loop, thread.
         self._given = self._taken = 0
         self._queue: queue.SimpleQueue[_Batch | None] = queue.SimpleQueue()
@@ -295,16 +298,26 @@ class Recorder:
         self._look = look
 
     async def aclose(self) -> None:
-        """End the file; waits up to 15 seconds for the disk. May be called again."""
+        """End the file. May be called again.
+
+        Waits up to 15 seconds for the disk, while it takes anything: what flies waits for none that
+        hangs. The thread ends the file when it can, and the interpreter waits for it.
+        """
         if self._timer is not None:
             self._timer.cancel()
         self._hand_over()
         self._is_ended = True
         self._queue.put(None)
-        await asyncio.to_thread(self._thread.join, END_TIMEOUT_S)
-        atexit.unregister(self._end)
+        await asyncio.to_thread(self._wait_for_end)
         if self._thread.is_alive():
             _logger.warning("%s: the disk did not take the end of the log", self.path)
+        else:
+            atexit.unregister(self._end)
+
+    def _wait_for_end(self) -> None:
+        until = time.monotonic() + END_TIMEOUT_S
+        while self._thread.is_alive() and time.monotonic() < min(until, self._alive_at + HANGS_S):
+            self._thread.join(_JOIN_S)
 
     def _tick(self) -> None:
         assert self._loop is not None
@@ -339,12 +352,14 @@ class Recorder:
         scribe, pending = self._scribe, self._queue
         try:
             while True:
+                self._alive_at = time.monotonic()
                 try:
                     batch = pending.get(timeout=FLUSH_S)
                 except queue.Empty:
                     scribe.flush()
                     continue
                 if batch is None:
+                    self._alive_at = time.monotonic()
                     break
                 scribe.write(batch)
                 self._taken += batch.size
@@ -362,8 +377,9 @@ class Recorder:
 
     def _end(self) -> None:
         """The interpreter ends and nobody closed: write the notes."""
-        self._hand_over()
-        self._queue.put(None)
+        if not self._is_ended:
+            self._hand_over()
+            self._queue.put(None)
         self._thread.join(END_TIMEOUT_S)
 
 

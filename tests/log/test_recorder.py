@@ -415,3 +415,25 @@ def test_a_computer_that_loses_its_power_loses_five_seconds_of_the_log(
     assert len(lost) > 10
     assert max(lost) < 5.0 + 0.7  # what waits for its flush comes to that
     assert len(disk.moments) < 4, "a disk of a small computer has other things to do"
+
+
+async def test_a_connection_ends_although_its_disk_hangs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What flies is connected again: it waits for no log."""
+    goes_on = threading.Event()
+
+    def add_message(*_: object, **__: object) -> None:
+        goes_on.wait(5.0)
+        goes_on.set()  # the others pass
+
+    monkeypatch.setattr(Writer, "add_message", add_message)
+    monkeypatch.setattr(recorder, "END_TIMEOUT_S", PATIENCE)
+    monkeypatch.setattr(recorder, "HANGS_S", 0.1)
+    record = Recorder(tmp_path / "flight.mcap")
+    async with connect(URL, record=record):
+        await asyncio.sleep(2.0)
+    assert record._thread.is_alive()
+    goes_on.set()
+    record._thread.join(PATIENCE)
+    assert not record._thread.is_alive()
