@@ -143,6 +143,13 @@ class Front(ABC):
             self.send()
         await self.stop()
 
+    async def too_fast(self) -> None:
+        """A program that lost its rate goes on so, 600 setpoints a second."""
+        for _ in range(40):
+            for _ in range(60):
+                self.send()
+            await self.passes(0.1)
+
     def let_go(self) -> None:
         """Keys are let go, or the program pauses."""
         self.is_sending = False
@@ -520,6 +527,10 @@ class Rosbridge(Station):
 
     def _ask_for_control(self) -> None:
         self._switch(1)
+
+    async def too_fast(self) -> None:
+        await super().too_fast()
+        assert self.client.session.close_reason is None
 
     async def stop(self) -> None:
         self.client.call("/m100link/stop")

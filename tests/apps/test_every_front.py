@@ -52,6 +52,7 @@ class Event(Enum):
     STOP = "STOP at this front"
     STOP_ELSEWHERE = "STOP at another front"
     FLOOD = "STOP at this front, behind more of its own messages than it may send"
+    TOO_FAST = "for seconds, this front's program sends more setpoints than it may"
     LAND = "this front lands it"
     LAND_WRONG = "the same, while in the air two flight statuses of three say that it stands"
     TAKE_OVER = "another client takes the lease over"
@@ -151,6 +152,11 @@ TABLE: dict[Event, dict[type[Front], End | Cannot]] = {
         FarConsole: End(H, BRAKES, FRONT, f"STOP was pressed, and {PAD_HELD}", "let go"),
         Performer: Cannot("its conductor sends no stream"),
         Sync: Cannot("there is no way between a program and its own control"),
+    },
+    Event.TOO_FAST: {
+        **dict.fromkeys(FRONTS, End(G, 0.0, FRONT, UNTOLD)),
+        Rosbridge: End(G, 0.0, FRONT, "more than 200 frames per second: frame dropped"),
+        Performer: Cannot("its conductor sends no stream"),
     },
     Event.LAND: {
         Console: End(L, LANDED, FRONT, "a setpoint was sent during land; nothing was sent"),
@@ -490,6 +496,9 @@ class Cells:
 
     async def test_flood(self) -> None:
         await self.judge(Event.FLOOD)
+
+    async def test_too_fast(self) -> None:
+        await self.judge(Event.TOO_FAST)
 
     async def test_land(self) -> None:
         await self.judge(Event.LAND)

@@ -37,6 +37,7 @@ class FakeClient:
     def __init__(self, rig: Rig, name: str) -> None:
         self._rig = rig
         self.session = Client(rig.graph, name)
+        self.session.is_steering = lambda: rig.front.holder.name == name
         self.inbox: list[Any] = []
 
     def send(self, op: str, **fields: Any) -> None:

@@ -16,6 +16,7 @@ from typing import Any
 
 from m100link.apps.agent.background import TokenBucket
 from m100link.apps.station.ros.graph import (
+    MAY_END,
     Graph,
     Publication,
     RosTopic,
@@ -88,6 +89,8 @@ class Client:
         self.refused = 0  # frames not carried out
         self.close_reason: str | None = None  # set when the client has to be disconnected
         self.recent_work = 0.0  # seconds of work that it caused; the reader sets it back to 0
+        # Whether it holds control of an aircraft, as the station knows.
+        self.is_steering: Callable[[], bool] = lambda: False
         self.peer = ""  # address that it comes from
         self.heard_at = float("-inf")  # when it last said anything; when it came, if it never did
         self.has_spoken = False  # whether it ever said anything
@@ -132,7 +135,10 @@ class Client:
             identity = given if isinstance(given, int) else str(given)[:256] if given else None
             self._execute(message, now)
         except _Overdone as fault:
-            self._count_fault(now)
+            if self.is_steering():  # cut off, it would hover: the newest of its setpoints fly
+                self.refused += 1
+            else:
+                self._count_fault(now)
             if now - self._complained_at >= _COMPLAINT_PAUSE:
                 self._complained_at = now
                 self.status("error", f"{fault}: frame dropped")
@@ -162,7 +168,8 @@ class Client:
 
     def _ends(self, frame: str | bytes) -> bool:
         """Whether it ends a movement or gives control back; the intake bounds what this costs."""
-        if len(frame) > _SHORT:
+        text = frame if isinstance(frame, str) else frame.decode(errors="replace")
+        if len(frame) > _SHORT or not MAY_END.search(text):
             return False
         try:
             message = self._parse(frame)

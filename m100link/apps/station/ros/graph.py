@@ -7,6 +7,7 @@ nothing a client does makes it grow.
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
@@ -120,6 +121,9 @@ ENDING: Mapping[str, Callable[[Message], bool]] = {
 }
 """Whether a message stops, lands or gives control back, by its topic or service, and so does each
 cancel of an action: no limit of a client counts or drops it."""
+
+MAY_END = re.compile("|".join([*(re.escape(one[1:]) for one in ENDING), "cancel", r"\\"]))
+"""Finds a name of them in a frame, or a backslash, which may hide one; cheaper than to read all."""
 
 
 def _ends(name: str, message: Message) -> bool:

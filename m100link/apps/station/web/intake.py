@@ -40,6 +40,8 @@ BYTES_RATE, BYTES_AT_ONCE = 160 * 1024.0, 512 * 1024.0
 EVENTS_RATE, EVENTS_AT_ONCE = 400.0, 800.0
 """Frames or parts of a request of one connection, per second over time and at once."""
 
+_STEERING = 5.0  # times as much for one that holds control: its client drops what is too much
+
 _STRAIN_RATE, _STRAIN = 0.25, 5.0
 """Seconds for which a connection may be kept waiting for its budget, per second and at once."""
 
@@ -156,6 +158,11 @@ class Metered(asyncio.BufferedProtocol, asyncio.Transport):
     def steers(self) -> bool:
         return self._connection.steers
 
+    @property
+    def _share(self) -> float:
+        """The share of its input that its budget pays."""
+        return 1.0 / _STEERING if self.steers else 1.0
+
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self._outer = cast(asyncio.Transport, transport)
         self._inner.connection_made(self)
@@ -174,7 +181,7 @@ class Metered(asyncio.BufferedProtocol, asyncio.Transport):
             return
         self._outer.pause_reading()
         self._begin, self._end = 0, nbytes
-        self._bytes.spend(self._loop.time(), nbytes)
+        self._bytes.spend(self._loop.time(), nbytes * self._share)
         self._ask_for_turn()
 
     def eof_received(self) -> bool | None:
@@ -213,7 +220,7 @@ class Metered(asyncio.BufferedProtocol, asyncio.Transport):
         except Exception:  # noqa: BLE001 - a parser's own fault costs this connection alone
             _log.exception("what a connection sent was not understood")
             self.abort()
-        self._events.spend(self._loop.time(), spoken.events - before)
+        self._events.spend(self._loop.time(), (spoken.events - before) * self._share)
         self._go_on()
 
     def _go_on(self) -> None:

@@ -20,7 +20,7 @@ from starlette.websockets import WebSocketDisconnect
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 from websockets.exceptions import ProtocolError
-from websockets.frames import Frame, Opcode
+from websockets.frames import CloseCode, Frame, Opcode
 from websockets.server import ServerProtocol
 
 from m100link.apps.agent.background import SparingLogger
@@ -124,6 +124,18 @@ class WebSocketConnection(WebSocketsSansIOProtocol):
     @property
     def steers(self) -> bool:
         return self.is_steering()
+
+    def send_receive_event_to_app(self) -> None:
+        """Pass a message on; a text that is none ends the connection by 1007, and is no report."""
+        if self.curr_msg_data_type == "text" and not self.close_sent:
+            try:
+                b"".join(self.frames).decode()
+            except UnicodeDecodeError:
+                self.frames = []
+                self.conn.send_close(CloseCode.INVALID_DATA)
+                self.handle_parser_exception()
+                return
+        super().send_receive_event_to_app()
 
     def handle_ping(self) -> None:
         """Answer it; a client that reads nothing gets no answers that would pile up."""

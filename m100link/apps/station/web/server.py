@@ -178,7 +178,7 @@ class RosbridgeServer:
         try:
             await websocket.accept()
             connection: WebSocketConnection = websocket.scope["state"]["connection"]
-            connection.is_steering = lambda: self._steers(session)
+            connection.is_steering = session.is_steering = lambda: self._steers(session)
             self._log.info("%s connected", name)
             await until_one_ends(
                 self._write(websocket, session, wake, closing),

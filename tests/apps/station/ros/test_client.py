@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from m100link.apps.station.ros.client import Client, ClientLimits
-from m100link.apps.station.ros.graph import Graph, GraphListener, ServiceCall, add_rosapi
+from m100link.apps.station.ros.graph import MAY_END, Graph, GraphListener, ServiceCall, add_rosapi
 from m100link.apps.station.ros.messages import Message
 from tests.apps.station.ros.test_messages import unpack_png
 
@@ -323,6 +323,39 @@ def test_a_flood_is_dropped_and_in_the_end_disconnected() -> None:
     for _ in range(40):
         bench.send("publish", topic="/steer", msg={"data": 1})
     assert bench.client.close_reason is not None
+
+
+def test_a_holder_of_control_that_floods_is_served_and_heard_and_not_disconnected() -> None:
+    """Its aircraft would hover: of its setpoints the newest fly, as many as it may send."""
+    bench = Bench(ClientLimits(rate=10, burst=20, faults=50))
+    bench.client.is_steering = lambda: True
+    told = []
+    for number in range(1000):
+        bench.now = number / 100
+        told += bench.send("publish", topic="/steer", msg={"data": number})
+    assert bench.client.close_reason is None
+    assert 110 <= len(bench.published) <= 121
+    assert bench.published[-1]["data"] > 985
+    assert {one["msg"] for one in told} == {"more than 10 frames per second: frame dropped"}
+    assert 9 <= len(told) <= 11
+    bench.client.is_steering = lambda: False
+    for _ in range(60):
+        bench.send("publish", topic="/steer", msg={"data": 1})
+    assert bench.client.close_reason is not None
+
+
+@pytest.mark.parametrize(
+    "frame",
+    [
+        '{"op":"publish","topic":"/m100link/halt/cancel","msg":{}}',
+        '{"op":"call_service","service":"/m100link/stop"}',
+        '{"op":"call_service","service":"m100link/stop#7","args":{}}',
+        '{"op":"call_service","service":"\\/m100link\\/stop"}',
+        '{"op":"call_service","service":"\\u002fm100link\\u002fst\\u006fp"}',
+    ],
+)
+def test_no_way_to_write_a_name_hides_what_ends_something_from_the_quick_look(frame: str) -> None:
+    assert MAY_END.search(frame)
 
 
 def test_a_slow_reader_loses_its_oldest_messages_and_nothing_else() -> None:

@@ -297,6 +297,24 @@ async def test_more_frames_than_a_client_may_send_end_its_connection(
         writer.close()
 
 
+@pytest.mark.parametrize(
+    "said",
+    [frame(TEXT, b"{\xff}"), frame(TEXT, b"{\xc3", is_last=False) + frame(CONTINUATION, b"\x28}")],
+    ids=["whole", "fragmented"],
+)
+async def test_a_text_that_is_none_ends_its_connection_and_is_no_report(
+    said: bytes, caplog: pytest.LogCaptureFixture
+) -> None:
+    async with station() as one:
+        reader, writer = await opened(one.sockets.port("rosbridge"))
+        writer.write(said)
+        async with asyncio.timeout(PATIENCE):
+            rest = await reader.read()
+        writer.close()
+    assert b"\x88\x02\x03\xef" in rest  # a close frame with 1007
+    assert not [line for line in caplog.records if line.exc_info]
+
+
 async def test_a_client_that_pings_and_reads_nothing_grows_nothing(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
