@@ -878,7 +878,7 @@ class Performer(OfAFleet):
 
     async def come(self, stack: AsyncExitStack) -> None:
         keys = Keys(fleet.SITE, "a1")
-        self.service = ShowService(self.one.client, self.one.bus, keys)
+        self.service = ShowService(self.one.client, self.one.bus, keys, self.one.fleet_agent.boot)
         self.agent.background.spawn(self.service.run(), "show")
         self.conductor = Conductor(
             self.pilot.bus,

@@ -83,6 +83,7 @@ from m100link.log.cdr import encode as encode_cdr
 from m100link.protocol.setpoint import Setpoint
 from m100link.sim.clock import VirtualClockEventLoop
 from m100link.sim.virtual import VirtualAircraft
+from tests.apps.agent.conftest import task_of
 from tests.apps.agent.examples import EXAMPLES as ORDERS
 from tests.apps.fleet.conftest import SITE
 from tests.apps.fleet.conftest import Rig as FleetRig
@@ -384,7 +385,7 @@ async def on_socket() -> AsyncIterator[Take]:
     async with station() as rig:
         lease = await _held(rig)
         await rig.front.ask(orders.TakeOff(), lease)
-        await rig.until(lambda: rig.agent.holding.task is None)
+        await rig.until(lambda: task_of(rig.agent) is None)
         still = Still(rig.aircraft)
         service = AgentServer(rig.agent)
 
@@ -560,7 +561,7 @@ async def on_board() -> AsyncIterator[Take]:
         lease = await in_the_air(rig, one)
         await asyncio.sleep(2.0)
         still, spawn = Still(one.aircraft), one.agent.background.spawn
-        spawn(ShowService(one.client, one.bus, _KEYS).run(), "shows")
+        spawn(ShowService(one.client, one.bus, _KEYS, "run").run(), "shows")
         spawn(LogService(one.bus, _KEYS, folder, apart=AtOnce()).run(), "logs")
         await asyncio.sleep(0.01)
         stranger = rig.network.session()

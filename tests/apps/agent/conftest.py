@@ -102,3 +102,15 @@ def hears_late(its: MemoryChannel, seconds: float) -> None:
 def has_begun(agent: Agent, what: str) -> bool:
     """Whether its journal says that this began."""
     return any(event.text == f"{what} begins" for event in agent.journal.events)
+
+
+def task_of(one: Any) -> str | None:
+    """The task that an agent watches; also of a test's rig that has its ``holding``."""
+    flying = one.holding.flying
+    return None if flying is None else str(flying.task) if flying.task else None
+
+
+def pattern_of(one: Any) -> str | None:
+    """The program that it flies."""
+    flying = one.holding.flying
+    return None if flying is None else flying.pattern and str(flying.pattern)

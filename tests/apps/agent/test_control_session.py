@@ -50,7 +50,7 @@ from m100link.errors import (
     StaleLease,
 )
 from m100link.protocol.setpoint import Setpoint
-from tests.apps.agent.conftest import Rig, hears_late
+from tests.apps.agent.conftest import Rig, hears_late, pattern_of
 from tests.known import KnownAgent
 from tests.rig import put_in_the_air
 
@@ -264,7 +264,7 @@ async def test_a_front_that_fails_to_show_it_has_stopped_it(pilots: Pilots, how:
         one.on_change = fails
         with pytest.raises(RuntimeError):
             one.begin_anew() if how == "begin_anew" else await one.stop()
-        assert rig.agent.holding.pattern is None
+        assert pattern_of(rig.agent) is None
         await anyio.sleep(1.5)
         assert rig.aircraft.vehicle.flight.dynamics.speed < 0.1
 

@@ -21,7 +21,7 @@ from m100link.apps.fleet.client import Fleet, FleetAircraft
 from m100link.apps.fleet.order_log import MemoryOrderLog
 from m100link.apps.fleet.payloads import Outcome
 from m100link.errors import GuardRefused, M100Error, StaleLease, TaskRefused, UsageError
-from tests.apps.agent.conftest import hears_late
+from tests.apps.agent.conftest import hears_late, task_of
 from tests.apps.fleet.conftest import OnBoard, Rig
 
 pytestmark = pytest.mark.anyio
@@ -276,7 +276,7 @@ async def test_a_stop_beside_the_one_that_ends_a_task_ends_the_way_home(
     await stop()
     with pytest.raises(GuardRefused, match="STOP was pressed after"):
         await descent
-    assert one.agent.holding.task is None
+    assert task_of(one.agent) is None
 
 
 async def test_the_secret_of_a_lease_that_is_over_is_forgotten(rig: Rig) -> None:

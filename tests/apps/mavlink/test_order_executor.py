@@ -15,7 +15,7 @@ from m100link.apps.mavlink.translator.vehicle_state import Mode
 from m100link.sim.line import LineFaults
 from m100link.sim.vehicle.missions.route import MissionSettings
 from m100link.sim.vehicle.settings import AircraftSettings
-from tests.apps.agent.conftest import has_begun, hears_late
+from tests.apps.agent.conftest import has_begun, hears_late, task_of
 from tests.apps.mavlink.conftest import Ground, Rig
 from tests.apps.mavlink.translator.test_missions import SQUARE, Exchange, Item, item, waypoint
 
@@ -529,14 +529,14 @@ async def test_a_stop_beside_the_one_that_ends_a_landing_is_not_taken_for_it(
     async with Rig(firmware="3.1", late=late).running() as rig:
         await begin(rig, rig.ground, FAR)
         rig.ground.set_mode_now(Mode.LAND)
-        await rig.until(lambda: rig.agent.holding.task == "land")
+        await rig.until(lambda: task_of(rig.agent) == "land")
         rig.aircraft.set_faults(LineFaults(delay=0.05))  # authority takes a while to go back
         await anyio.sleep(0.5)
         rig.ground.set_mode_now(Mode.RTL)
         await anyio.sleep(after)
         await rig.agent.stop()
         await anyio.sleep(3.0)
-        assert rig.agent.holding.task is None
+        assert task_of(rig.agent) is None
         assert not has_begun(rig.agent, "go home")
         assert rig.speed < 0.5
 
@@ -546,8 +546,8 @@ async def test_a_stop_after_the_take_off_ends_the_climb_that_follows(rig: Rig) -
     await rig.ground.arm()
     altitude = rig.ground_altitude + 20.0
     rig.ground.command(MavCommand.NAV_TAKEOFF, 0, 0, 0, math.nan, math.nan, math.nan, altitude)
-    await rig.until(lambda: rig.agent.holding.task is not None)
-    await rig.until(lambda: rig.agent.holding.task is None)
+    await rig.until(lambda: task_of(rig.agent) is not None)
+    await rig.until(lambda: task_of(rig.agent) is None)
     await anyio.sleep(0.15)
     await rig.agent.stop()
     assert rig.agent.holding.has_authority

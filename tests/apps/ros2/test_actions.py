@@ -13,7 +13,7 @@ from m100link.apps.ros2.actions import FLIGHTS, GoalStatus
 from m100link.apps.ros2.graph import EntityKind, NodeName, Qos, data_key
 from m100link.geodesy import LocalFrame
 from m100link.log.cdr import ACTIONS, decode
-from tests.apps.agent.conftest import has_begun, hears_late
+from tests.apps.agent.conftest import has_begun, hears_late, task_of
 from tests.apps.ros2.conftest import Program, Rig
 
 pytestmark = pytest.mark.anyio
@@ -292,8 +292,8 @@ async def test_a_stop_that_the_node_did_not_hear_ends_the_legs_to_come(
     hears_late(rig.channels[1], late)
     assert (await client.call("~/obtain_control"))["success"]
     assert await client.send("~/take_off", height=20.0)
-    await rig.until(lambda: rig.agent.holding.task is not None)
-    await rig.until(lambda: rig.agent.holding.task is None)
+    await rig.until(lambda: task_of(rig.agent) is not None)
+    await rig.until(lambda: task_of(rig.agent) is None)
     await anyio.sleep(late / 2)
     await rig.agent.stop()
     await anyio.sleep(6.0)

@@ -24,6 +24,7 @@ from m100link.apps.station.ros.node_2015 import Node2015
 from m100link.sim.clock import virtual_clock_loop
 from m100link.sim.ports.driver import Driver
 from m100link.sim.virtual import VirtualAircraft
+from tests.apps.agent.conftest import task_of
 
 
 @pytest.fixture
@@ -133,8 +134,8 @@ class Rig:
     async def airborne(self, name: str = "page") -> FakeClient:
         client = await self.open(name)
         client.publish("/sdk_request_cmd", data=4)
-        await self.until(lambda: self.agent.holding.task is not None)
-        await self.until(lambda: self.agent.holding.task is None)
+        await self.until(lambda: task_of(self.agent) is not None)
+        await self.until(lambda: task_of(self.agent) is None)
         assert self.aircraft.height > 1.0
         return client
 

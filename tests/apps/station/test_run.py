@@ -28,6 +28,7 @@ from m100link.apps.station.run import (
 )
 from m100link.errors import M100Error, UsageError
 from m100link.log import read
+from tests.apps.agent.conftest import task_of
 from tests.sockets import connect
 from tests.waiting import PATIENCE, until
 
@@ -86,7 +87,7 @@ async def flying(
         )
         pilot = Pilot(client)
         await pilot.take_off()
-        await until(lambda: one.agent.holding.task is None)
+        await until(lambda: task_of(one.agent) is None)
         work = asyncio.create_task(pilot.fly())
         await until(lambda: east(one) == 1.0)
         yield one, work
@@ -208,7 +209,7 @@ async def test_the_end_gives_authority_back_before_it_waits_for_a_front_that_han
         address = f"ws://127.0.0.1:{one.sockets.port('rosbridge')}"
         client = await stack.enter_async_context(connect(address, close_timeout=0.1))
         await Pilot(client).take_off()
-        await until(lambda: one.agent.holding.task is None)
+        await until(lambda: task_of(one.agent) is None)
         assert one.front.pid is not None
         os.kill(one.front.pid, signal.SIGSTOP)
         one.agent.holding.on_change.append(lambda *_: was_running.append(one.front.pid is not None))

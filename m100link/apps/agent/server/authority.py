@@ -160,14 +160,6 @@ class AuthorityManager:
         )
 
     @property
-    def task(self) -> str | None:
-        return self.flying.task if self.flying is not None else None
-
-    @property
-    def pattern(self) -> str | None:
-        return self.flying.pattern if self.flying is not None else None
-
-    @property
     def flown(self) -> Flown:
         """The present flight, as far as this agent flies it."""
         return self.flying.flown if self.flying is not None else Flown.NOTHING

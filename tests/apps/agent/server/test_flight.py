@@ -31,7 +31,7 @@ from m100link.flight.control import Control
 from m100link.geodesy import LocalFrame
 from m100link.missions.plan import AtEnd, Waypoint, WaypointPlan
 from m100link.protocol.setpoint import Setpoint
-from tests.apps.agent.conftest import Rig, airborne, guided, mission
+from tests.apps.agent.conftest import Rig, airborne, guided, mission, pattern_of
 
 pytestmark = pytest.mark.anyio
 
@@ -52,13 +52,13 @@ async def test_a_stick_ends_a_program_and_letting_go_of_it_does_not(rig: Rig) ->
     await airborne(rig)
     rig.holding.require().start_pattern("east", go_east)
     await anyio.sleep(0.5)
-    assert (rig.holding.pattern, east(rig)) == ("east", 1.0)
+    assert (pattern_of(rig), east(rig)) == ("east", 1.0)
     rig.agent.steer(rig.token, NORTH.neutral())
     await anyio.sleep(0.1)
-    assert (rig.holding.pattern, east(rig)) == ("east", 1.0)
+    assert (pattern_of(rig), east(rig)) == ("east", 1.0)
     rig.agent.steer(rig.token, NORTH)
     await anyio.sleep(0.05)
-    assert (rig.holding.pattern, east(rig)) == (None, 0.0)
+    assert (pattern_of(rig), east(rig)) == (None, 0.0)
 
 
 async def test_one_program_ends_another(rig: Rig) -> None:
@@ -66,7 +66,7 @@ async def test_one_program_ends_another(rig: Rig) -> None:
     rig.holding.require().start_pattern("first", go_east)
     rig.holding.require().start_pattern("second", go_east)
     await anyio.sleep(0.1)
-    assert rig.holding.pattern == "second"
+    assert pattern_of(rig) == "second"
     told = [event.text for event in rig.agent.journal.events]
     assert "first ended: second was asked for" in told
 
@@ -81,7 +81,7 @@ async def test_a_program_that_is_over_says_so_and_makes_way(rig: Rig) -> None:
     await anyio.sleep(0.05)
     assert rig.holding.require().flown is Flown.PROGRAM
     await anyio.sleep(0.1)
-    assert rig.holding.pattern is None
+    assert pattern_of(rig) is None
     assert [one.text for one in rig.agent.journal.events][-2:] == [
         "briefly begins",
         "briefly is done",
@@ -96,7 +96,7 @@ async def test_a_program_whose_setpoint_is_refused_ends_with_the_reason(rig: Rig
     await airborne(rig)
     rig.holding.require().start_pattern("too high", too_high)
     await anyio.sleep(0.5)
-    assert rig.holding.pattern is None
+    assert pattern_of(rig) is None
     ends = [one.text for one in rig.agent.journal.events if one.text.startswith("too high ended")]
     assert len(ends) == 1
     assert "500" in ends[0]
@@ -110,7 +110,7 @@ async def test_a_program_that_fails_is_over(rig: Rig) -> None:
     await airborne(rig)
     rig.holding.require().start_pattern("east", fails)
     await anyio.sleep(0.5)
-    assert (rig.holding.pattern, east(rig)) == (None, 0.0)
+    assert (pattern_of(rig), east(rig)) == (None, 0.0)
     assert rig.agent.journal.events[-1].text == "east ended: the agent failed"
 
 
@@ -332,7 +332,7 @@ async def test_a_guided_flight_begins_is_reported_and_ends_for_a_program(rig: Ri
     rig.holding.require().start_pattern("east", go_east)
     await anyio.sleep(0.5)
     assert flight.done()
-    assert (guided(rig), rig.holding.pattern, east(rig)) == (None, "east", 1.0)
+    assert (guided(rig), pattern_of(rig), east(rig)) == (None, "east", 1.0)
     height = rig.aircraft.height
     await anyio.sleep(2.0)
     assert rig.aircraft.height == pytest.approx(height, abs=0.3)
@@ -601,11 +601,11 @@ async def test_a_program_and_a_guided_flight_end_each_other(pointing: Pointing) 
     rig.holding.require().start_pattern("north", go_north)
     await anyio.sleep(0.5)
     flight = await pointing.under_way(pointing.place(0, 50))
-    flying = [rig.holding.pattern]
+    flying = [pattern_of(rig)]
     rig.holding.require().start_pattern("north", go_north)
     assert isinstance(await flight, NotObserved)
     await anyio.sleep(1.0)
-    assert [*flying, rig.holding.pattern] == [None, "north"]
+    assert [*flying, pattern_of(rig)] == [None, "north"]
     assert rig.aircraft.vehicle.flight.dynamics.velocity_north > 0.5
 
 

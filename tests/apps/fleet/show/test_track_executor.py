@@ -34,7 +34,7 @@ from m100link.sim.vehicle.settings import AircraftSettings
 from m100link.sim.virtual import VirtualAircraft
 from m100link.telemetry.state import AircraftState
 from tests import known
-from tests.apps.agent.conftest import has_begun, hears_late
+from tests.apps.agent.conftest import has_begun, hears_late, task_of
 from tests.apps.fleet.conftest import OnBoard, Rig, anyio_backend, rig
 from tests.apps.fleet.show.shows import ORIGIN, track
 
@@ -404,8 +404,8 @@ async def test_a_stop_that_is_not_heard_yet_ends_the_steps_to_its_place(
     performer.load(FLOWN.to_bytes(), "hover")
     hears_late(stand.one.channels[1], 0.5)
     performer.place("anna", stand.one.client.now)
-    await stand.rig.until(lambda: agent.holding.task is not None)
-    await stand.rig.until(lambda: agent.holding.task is None)
+    await stand.rig.until(lambda: task_of(agent) is not None)
+    await stand.rig.until(lambda: task_of(agent) is None)
     await anyio.sleep(after)
     await agent.stop()
     await anyio.sleep(6.0)

@@ -8,6 +8,7 @@ from typing import Any
 import anyio
 import pytest
 
+from tests.apps.agent.conftest import task_of
 from tests.apps.station.conftest import FakeClient, Rig
 
 pytestmark = pytest.mark.anyio
@@ -86,7 +87,7 @@ async def test_a_goal_during_take_off_is_flown_after_it_unless_a_stop_comes(
     client = await rig.open()
     listen(client, LOCAL)
     client.call("/dji_sdk/drone_task_control", task=4)
-    await rig.until(lambda: rig.agent.holding.task is not None)
+    await rig.until(lambda: task_of(rig.agent) is not None)
     send(client, LOCAL, "there", x=3.0, y=0.0, z=4.0)
     await anyio.sleep(0.3)
     if is_stopped:
@@ -262,7 +263,7 @@ async def test_a_task_is_done_when_it_is_accepted(
     send(client, TASK, "task", task=number)
     await rig.until(lambda: bool(results(client, TASK)))
     assert results(client, TASK) == [("task", state, state == SUCCEEDED)]
-    assert rig.agent.holding.task == task
+    assert task_of(rig.agent) == task
 
 
 async def test_rosapi_knows_the_action_servers(rig: Rig) -> None:

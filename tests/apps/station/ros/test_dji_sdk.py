@@ -11,6 +11,7 @@ import pytest
 from m100link.errors import BadSetpoint
 from m100link.log.ros2 import joy_move
 from m100link.protocol.setpoint import ReferenceFrame
+from tests.apps.agent.conftest import task_of
 from tests.apps.station.conftest import FakeClient, Rig
 
 pytestmark = pytest.mark.anyio
@@ -107,11 +108,11 @@ async def test_services_activate_obtain_fly_and_release(rig: Rig) -> None:
         before = len(client.answers())
         await rig.until(lambda n=before: len(client.answers()) > n)  # type: ignore[misc]
         assert client.answers()[-1]["result"] is True
-    assert rig.agent.holding.task == "take off"  # answered when accepted, not when done
+    assert task_of(rig.agent) == "take off"  # answered when accepted, not when done
     client.call("/dji_sdk/drone_task_control", task=6)
     await rig.until(lambda: len(client.answers()) == 4)
     assert client.answers()[-1]["result"] is False  # one task at a time
-    await rig.until(lambda: rig.agent.holding.task is None)
+    await rig.until(lambda: task_of(rig.agent) is None)
     client.publish("/dji_sdk/flight_control_setpoint_ENUvelocity_yawrate")
     joy = {"axes": [1.0, 0.0, 0.0, 0.0]}
     topic = "/dji_sdk/flight_control_setpoint_ENUvelocity_yawrate"

@@ -12,6 +12,7 @@ from m100link.apps.agent.lease import Lease
 from m100link.apps.station.ros.client import Client
 from m100link.apps.station.ros.graph import Graph
 from m100link.sim.virtual import VirtualAircraft
+from tests.apps.agent.conftest import task_of
 from tests.apps.station.conftest import FakeClient, Rig
 from tests.apps.station.ros.test_client import Bench
 
@@ -81,8 +82,8 @@ async def _fly(rig: Rig, client: FakeClient) -> None:
     client.publish("/m100_2/nav_open_close_request", data=1)
     await rig.until(lambda: rig.agent.holding.has_authority)
     client.publish("/m100_2/sdk_request_cmd", data=4)
-    await rig.until(lambda: rig.agent.holding.task is not None)
-    await rig.until(lambda: rig.agent.holding.task is None)
+    await rig.until(lambda: task_of(rig.agent) is not None)
+    await rig.until(lambda: task_of(rig.agent) is None)
 
 
 # -- what roslib -----------------------------------------------------------------------------------

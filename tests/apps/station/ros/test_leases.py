@@ -12,6 +12,7 @@ import pytest
 from m100link.apps.agent.server.server import AgentServer
 from m100link.apps.agent.transports import memory_channels
 from m100link.apps.station.ros import graph
+from tests.apps.agent.conftest import pattern_of
 from tests.apps.station.conftest import FakeClient, Rig
 
 pytestmark = pytest.mark.anyio
@@ -172,10 +173,10 @@ async def test_stop_waits_behind_no_other_calls_of_its_client(rig: Rig) -> None:
     for _ in range(20):
         client.call("/never")
     client.publish("/sdk_request_simple_task", data=1)
-    await rig.until(lambda: rig.agent.holding.pattern is not None)
+    await rig.until(lambda: pattern_of(rig.agent) is not None)
     client.call("/m100link/stop")
     await anyio.sleep(0.5)
-    assert rig.agent.holding.pattern is None
+    assert pattern_of(rig.agent) is None
     assert client.answers()[-1] == {"success": True, "message": ""}
 
 
@@ -297,22 +298,22 @@ async def test_the_table_of_what_ends_a_flight_is_whole(rig: Rig) -> None:
 async def test_a_client_that_floods_stops_what_it_flies(rig: Rig) -> None:
     client = await rig.airborne("page")
     client.publish("/sdk_request_simple_task", data=1)
-    await rig.until(lambda: rig.agent.holding.pattern is not None)
+    await rig.until(lambda: pattern_of(rig.agent) is not None)
     for _ in range(500):
         client.send("publish", topic="/sdk_request_ctrl_mode", msg={"data": 1.0})
     client.call("/m100link/stop")
     await anyio.sleep(0.5)
-    assert rig.agent.holding.pattern is None
+    assert pattern_of(rig.agent) is None
 
 
 async def test_a_simple_task_of_minus_one_needs_no_control(rig: Rig) -> None:
     """DJI's page has it as its stop: the aircraft hovers for every client."""
     client = await rig.airborne("page")
     client.publish("/sdk_request_simple_task", data=1)
-    await rig.until(lambda: rig.agent.holding.pattern is not None)
+    await rig.until(lambda: pattern_of(rig.agent) is not None)
     rig.client("other").publish("/sdk_request_simple_task", data=-1)
     await anyio.sleep(0.5)
-    assert rig.agent.holding.pattern is None
+    assert pattern_of(rig.agent) is None
     assert any("other stopped it" in one.text for one in rig.agent.journal.events)
 
 

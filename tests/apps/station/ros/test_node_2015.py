@@ -14,6 +14,7 @@ from m100link.apps.station.ros.node_2015 import PRESS_LIFETIME, REPEAT_LIFETIME
 from m100link.errors import UsageError
 from m100link.protocol.commands.control import StartTask
 from m100link.sim.vehicle.activation import MobileApp
+from tests.apps.agent.conftest import pattern_of, task_of
 from tests.apps.station.conftest import Rig
 
 pytestmark = pytest.mark.anyio
@@ -102,8 +103,8 @@ async def test_take_off_and_landing(rig: Rig) -> None:
     page.subscribe("/flight_status")
     await anyio.sleep(1.1)
     page.publish("/sdk_request_cmd", data=6)
-    await rig.until(lambda: rig.agent.holding.task is not None)
-    await rig.until(lambda: rig.agent.holding.task is None)
+    await rig.until(lambda: task_of(rig.agent) is not None)
+    await rig.until(lambda: task_of(rig.agent) is None)
     await anyio.sleep(1.1)
     seen = page.values("/flight_status")
     assert seen[0] == 3
@@ -115,7 +116,7 @@ async def test_a_second_command_while_one_runs_is_reported_and_not_sent(rig: Rig
     page = await rig.open()
     page.publish("/sdk_request_cmd", data=4)
     page.publish("/sdk_request_cmd", data=6)
-    await rig.until(lambda: rig.agent.holding.task is None)
+    await rig.until(lambda: task_of(rig.agent) is None)
     await anyio.sleep(1.0)
     sent = [one.command for one in rig.aircraft.autopilot.received_commands]
     assert [c.task for c in sent if isinstance(c, StartTask)] == [4]
@@ -273,7 +274,7 @@ async def test_another_client_cannot_steer_open_or_stop(rig: Rig) -> None:
     assert other.values("/nav_open_close_status") == [0, 0]
     assert page.values("/nav_open_close_status") == [2]  # the first sees no change
     assert rig.moves == []
-    assert rig.agent.holding.task is None
+    assert task_of(rig.agent) is None
     assert rig.agent.holding.has_authority
     assert other.statuses()
     assert all("first has control" in text for text in other.statuses())
@@ -354,15 +355,15 @@ async def test_simple_task_0_flies_its_legs_and_stops(rig: Rig) -> None:
         (0x0A, 2, 0, 0, 0),
         (0x0A, 0, 0, 0, 0),
     ]
-    assert rig.agent.holding.pattern is None
+    assert pattern_of(rig.agent) is None
 
 
 async def test_simple_task_4_takes_off_flies_and_comes_home(rig: Rig) -> None:
     page = await rig.open()
     page.publish("/sdk_request_simple_task", data=4)
     await anyio.sleep(1.0)
-    assert rig.agent.holding.pattern is not None
-    await rig.until(lambda: rig.agent.holding.pattern is None, within=200.0)
+    assert pattern_of(rig.agent) is not None
+    await rig.until(lambda: pattern_of(rig.agent) is None, within=200.0)
     assert rig.aircraft.height == pytest.approx(0.0, abs=0.1)
     assert {move.control_flag for move in rig.moves} == {0x0A, 0x48}
     assert rig.agent.journal.events[-1].text == "simple task 4 is done"
@@ -373,9 +374,9 @@ async def test_a_key_ends_a_simple_task(rig: Rig) -> None:
     page.publish("/sdk_request_simple_task", data=1)
     await anyio.sleep(1.0)
     page.publish("/sdk_request_ctrl", **ZERO)  # letting go is not steering
-    assert rig.agent.holding.pattern is not None
+    assert pattern_of(rig.agent) is not None
     page.publish("/sdk_request_ctrl", **(ZERO | {"y": 2}))
-    await rig.until(lambda: rig.agent.holding.pattern is None, within=0.1)
+    await rig.until(lambda: pattern_of(rig.agent) is None, within=0.1)
     await anyio.sleep(0.1)
     assert flown(rig.moves)[-1] == (0x0A, 2, 0, 0, 0)
 
@@ -395,7 +396,7 @@ async def test_other_simple_tasks_are_refused(rig: Rig, number: int | None) -> N
     page.publish("/sdk_request_simple_task", data=number)  # type: ignore[arg-type]
     await anyio.sleep(0.5)
     assert len(page.statuses()) == 1
-    assert rig.agent.holding.pattern is None
+    assert pattern_of(rig.agent) is None
 
 
 @pytest.mark.parametrize(("number", "why"), [(3, "random commands"), (7, "no simple task 7")])
@@ -455,7 +456,7 @@ async def test_a_flood_of_orders_reaches_neither_the_aircraft_nor_the_log(rig: R
     assert len(rig.agent.journal.events) - before <= 15
     assert sum("orders per second" in text for text in spammer.statuses()) <= 8
     pilot.publish("/sdk_request_cmd", data=4)
-    await rig.until(lambda: rig.agent.holding.task is not None)
+    await rig.until(lambda: task_of(rig.agent) is not None)
 
 
 async def test_asking_for_the_version_asks_the_aircraft_nothing(

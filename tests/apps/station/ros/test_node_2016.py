@@ -19,6 +19,7 @@ from m100link.apps.agent.messages import JournalNote, MobileMessage, Steer
 from m100link.apps.station.ros.node_2016 import TOPICS, local_of, percent, place_of
 from m100link.protocol.firmware import FIRMWARE_3_1
 from m100link.protocol.records import Attitude, Battery, Position, Time, Velocity
+from tests.apps.agent.conftest import task_of
 from tests.apps.station.conftest import FakeClient, Rig
 from tests.apps.station.ros.test_values import KnownRig, agree, close, flying, header, run
 from tests.known import LATITUDE, LONGITUDE, PITCH, ROLL, YAW, position, quaternion
@@ -414,8 +415,8 @@ async def test_a_program_of_2016_activates_obtains_takes_off_and_flies(rig: Rig)
     client.call("/dji_sdk/sdk_permission_control", control_enable=1)
     await rig.until(lambda: client.answers() == [{"result": True}])
     client.call("/dji_sdk/drone_task_control", task=4)
-    await rig.until(lambda: rig.agent.holding.task is not None)
-    await rig.until(lambda: rig.agent.holding.task is None)
+    await rig.until(lambda: task_of(rig.agent) is not None)
+    await rig.until(lambda: task_of(rig.agent) is None)
     for _ in range(100):
         client.call("/dji_sdk/velocity_control", frame=1, vx=2.0, vy=-1.0, vz=0.5, yawRate=0.0)
         await anyio.sleep(0.02)

@@ -14,6 +14,8 @@ from typing import Any
 
 import pytest
 
+from tests.apps.agent.conftest import task_of
+
 pytest.importorskip("uvicorn")
 pytest.importorskip("starlette")
 from websockets.asyncio.client import ClientConnection
@@ -394,7 +396,7 @@ async def test_a_replayed_lease_is_refused() -> None:
         await publish(first, "/sdk_request_cmd", "std_msgs/Float32", data=4)
         while "second has control" not in (await receive(first)).get("msg", ""):
             pass
-        assert one.agent.holding.task is None
+        assert task_of(one.agent) is None
 
 
 async def test_pages_of_a_folder_are_served_and_nothing_outside_it(tmp_path: Path) -> None:
@@ -430,8 +432,8 @@ async def test_a_socket_that_is_cut_stops_the_motion() -> None:
         client = await connect(address(one))
         await opened(one, client)
         await publish(client, "/sdk_request_cmd", "std_msgs/Float32", data=4)
-        await until(lambda: one.agent.holding.task is not None)
-        await until(lambda: one.agent.holding.task is None)
+        await until(lambda: task_of(one.agent) is not None)
+        await until(lambda: task_of(one.agent) is None)
         assert one.virtual is not None
         moves = one.virtual.autopilot.received_movements
         await publish(client, "/sdk_request_ctrl", "geometry_msgs/Quaternion", x=-4)
