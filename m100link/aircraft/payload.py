@@ -76,8 +76,8 @@ class AircraftGimbal:
         if seen is None:
             return "<AircraftGimbal, angles unknown>"
         return (
-            f"<AircraftGimbal yaw {seen.yaw_deg:.1f}°, pitch {seen.pitch_deg:.1f}°, "
-            f"roll {seen.roll_deg:.1f}°>"
+            f"<AircraftGimbal yaw {seen.yaw_deg:z.1f}°, pitch {seen.pitch_deg:z.1f}°, "
+            f"roll {seen.roll_deg:z.1f}°>"
         )
 
     async def set_angles(

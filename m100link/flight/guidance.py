@@ -296,6 +296,6 @@ class Guidance:
         """The rest of the way, for people."""
         situation = describe_situation(self._state.situation())
         return (
-            f"{found.distance_m:.1f} m, {found.height_error_m:+.1f} m of height and "
-            f"{found.heading_error_deg:+.0f}° remain ({situation})"
+            f"{found.distance_m:.1f} m, {found.height_error_m:+z.1f} m of height and "
+            f"{found.heading_error_deg:+z.0f}° remain ({situation})"
         )

@@ -211,7 +211,7 @@ class FollowCheck:
             seen = None
         if not self._way.is_over(now, seen, _BEGINS * (wanted - along), (north, east)):
             return ""
-        return f"{wanted:.1f} m/s are asked for, and {along:.1f} m/s flown, without a begin"
+        return f"{wanted:.1f} m/s are asked for, and {along:z.1f} m/s flown, without a begin"
 
     def _wanted(self, setpoint: Setpoint) -> tuple[float, float, float]:
         """The least velocity asked for, north and east, m/s, and how fast it may be flown."""
@@ -267,7 +267,7 @@ class FollowCheck:
         asked = setpoint.x, setpoint.y
         if not self._tilt.is_over(now, seen, _BEGINS * (wanted - along), asked):
             return ""
-        return f"a tilt of {wanted:.0f}° is asked for, and {along:.0f}° flown, without a begin"
+        return f"a tilt of {wanted:.0f}° is asked for, and {along:z.0f}° flown, without a begin"
 
     # -- climbing and turning --------------------------------------------------------------------
 

@@ -85,7 +85,7 @@ _STATUS_FLAG = 1 << BY_RECORD[FlightStatus].bit
 
 def _shown(field: tuple[str, object]) -> str:
     name, value = field
-    return f"{name} {value:.6g}" if isinstance(value, float) else f"{name} {value}"
+    return f"{name} {value:z.6g}" if isinstance(value, float) else f"{name} {value}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -326,7 +326,7 @@ class AircraftState(RecordViews):
         rc = self.remote_control
         return {
             "flight_status": getattr(phase, "name", phase),
-            "height_m": self.position and round(self.position.height_m, 2),
+            "height_m": self.position and round(self.position.height_m, 2) + 0.0,  # no -0.0
             "battery_percent": self.battery and self.battery.percent,
             "gps_health": self.position and self.position.gps_health,
             "mode_switch": rc.mode_switch.name if rc and rc.is_heard else None,

@@ -30,7 +30,7 @@ from m100link import (
     TelemetryStalled,
     UsageError,
 )
-from m100link.flight.guidance import GuidanceProgress, _Settling
+from m100link.flight.guidance import Guidance, GuidanceProgress, _Settling
 from m100link.flight.loops import ClosedLoops, _towards
 from m100link.geodesy import LocalFrame
 from m100link.missions.patterns import survey
@@ -725,3 +725,15 @@ async def test_a_flight_of_10_cm_a_second_takes_its_time() -> None:
         await control.take_off()
         await control.fly_to(north=2.0, east=0.0, up=0.0, speed=0.1)
         assert flown.virtual.position[0] == pytest.approx(2.0, abs=0.6)
+
+
+def test_no_rest_of_a_way_is_a_zero_with_a_sign() -> None:
+    state = AircraftState(lambda: 0.0)
+    position = {"position": (0.4, 2.0, 100.0, -0.001, 5)}
+    state.update(Sample(encode_telemetry(position, PROFILES["1.0"]), PROFILES["1.0"], 0.0))
+
+    async def hover() -> None: ...
+
+    guidance = Guidance(state, steer=lambda _: None, hover=hover)
+    left = guidance._left(GuidanceProgress(0.0, 0.0, -0.01, -0.2))
+    assert left == "0.0 m, +0.0 m of height and +0° remain (height_m 0.0, gps_health 5)"

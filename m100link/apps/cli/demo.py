@@ -310,8 +310,8 @@ def _progress(flight: _Flight) -> Group:
         north, east = flight.track[-1]
         battery = "" if flight.battery_percent is None else f"   battery {flight.battery_percent} %"
         parts.append(
-            f"height {flight.heights[-1][1]:5.2f} m   "
-            f"north {north:6.2f} m   east {east:6.2f} m{battery}"
+            f"height {flight.heights[-1][1]:z5.2f} m   "
+            f"north {north:z6.2f} m   east {east:z6.2f} m{battery}"
         )
         parts.append(Text("\n".join(track_plot(flight.track, columns=min(44, out.width), rows=10))))
     return Group(*parts)
@@ -356,7 +356,7 @@ def _print_summary(flight: _Flight, summary: dict[str, Any]) -> None:
     for name, value in (
         ("flown over", f"{flight.port}, firmware {flight.firmware}, seed {summary['seed']}"),
         ("back within", f"{summary['returned_within_m']:.2f} m of the start"),
-        ("path", f"{summary['path_length_m']:.1f} m, up to {summary['max_height_m']:.1f} m high"),
+        ("path", f"{summary['path_length_m']:.1f} m, up to {summary['max_height_m']:z.1f} m high"),
         ("setpoints sent", str(summary["setpoints_sent"])),
         (
             "line",

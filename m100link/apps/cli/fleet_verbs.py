@@ -68,7 +68,7 @@ def _table(names: list[str], cards: dict[str, Card]) -> Table:
         if card.fault is not None and not card.boot:
             table.add_row(name, f"{card.connection}: {card.fault.seen}")
             continue
-        height = "" if card.height_m is None else f"{card.height_m:.1f} m"
+        height = "" if card.height_m is None else f"{card.height_m:z.1f} m"
         battery = "" if card.battery_percent is None else f"{card.battery_percent} %"
         lost = f"{card.lost} after {card.lost_after:g} s"
         row = (name, card.connection, card.phase, height, battery, card.task, card.holder, lost)

@@ -111,7 +111,7 @@ def _table(fleet: Fleet, heard: FleetTelemetry) -> Table:
             name,
             f"{age:.1f} s" if name in fleet.present else f"gone, {age:.0f} s",
             "" if phase is None else phase.name.lower().replace("_", " "),
-            "" if position is None else f"{position.height_m:.1f} m",
+            "" if position is None else f"{position.height_m:z.1f} m",
             "" if velocity is None else f"{velocity.ground_speed_m_s:.1f} m/s",
             "" if battery is None else f"{battery.percent} %",
             "" if position is None else f"{position.latitude_deg:.6f} {position.longitude_deg:.6f}",

@@ -107,7 +107,7 @@ async def fly(
     def progress(found: GuidanceProgress) -> None:
         if sys.stderr.isatty():
             err.print(
-                f"{found.distance_m:7.1f} m to go, {found.height_error_m:+6.1f} m of height",
+                f"{found.distance_m:7.1f} m to go, {found.height_error_m:+z6.1f} m of height",
                 end="\r",
             )
 
@@ -263,7 +263,7 @@ async def confirm(aircraft: Aircraft, what: str) -> None:
 
 def _tell(progress: TaskProgress) -> None:
     if sys.stderr.isatty():
-        height = "" if progress.height_m is None else f"{progress.height_m:5.2f} m"
+        height = "" if progress.height_m is None else f"{progress.height_m:z5.2f} m"
         phase = "" if progress.phase is None else progress.phase.name.lower().replace("_", " ")
         err.print(f"{progress.elapsed:5.1f} s  {phase:<18} {height}", end="\r")
 
@@ -337,7 +337,7 @@ async def gimbal(
         print_json(described)
     else:
         out.print(
-            f"yaw {seen.yaw_deg:.1f}°, pitch {seen.pitch_deg:.1f}°, roll {seen.roll_deg:.1f}°"
+            f"yaw {seen.yaw_deg:z.1f}°, pitch {seen.pitch_deg:z.1f}°, roll {seen.roll_deg:z.1f}°"
         )
 
 

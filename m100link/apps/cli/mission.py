@@ -231,7 +231,7 @@ class _Show:
             words = f"mission stopped {reached if self._reached >= 0 else 'before waypoint 0'}"
         if status is not None and status.status == FlightPhase.STANDBY:
             return f"{words}; the aircraft stands on the ground"
-        height = "" if position is None else f" at {position.height_m:.1f} m"
+        height = "" if position is None else f" at {position.height_m:z.1f} m"
         return f"{words}; the aircraft hovers{height}: m100link land"
 
     def end(self) -> None:

@@ -449,12 +449,12 @@ class LiveView:
         sent, lost = state["frames_sent"], state["frames_lost"]
         shown = {
             "flight": f"{state['flight_status']}, {state['maneuver']}",
-            "height": f"{state['height']:.2f} m",
+            "height": f"{state['height']:z.2f} m",
             "attitude": f"roll {_degrees(motion.roll)} pitch {_degrees(motion.pitch)} "
-            f"yaw {heading:.0f}°",
-            "velocity": f"N {north:+.1f} E {east:+.1f} up {up:+.1f} m/s",
+            f"yaw {heading:z.0f}°",
+            "velocity": f"N {north:+z.1f} E {east:+z.1f} up {up:+z.1f} m/s",
             "control": control,
-            "place": f"N {state['north']:+.1f} E {state['east']:+.1f} m",
+            "place": f"N {state['north']:+z.1f} E {state['east']:+z.1f} m",
             "RC": state["rc_mode"] + ("" if state["rc_is_on"] else ", off"),
             "battery, GPS": f"{state['battery_percent']:.0f} %, {state['gps_health']}",
             "app": app,
@@ -514,7 +514,7 @@ def _mission(mission: dict[str, Any]) -> tuple[str, str, str]:
 
 
 def _degrees(radians: float) -> str:
-    return f"{radians * 57.29578:+.1f}°"
+    return f"{radians * 57.29578:+z.1f}°"
 
 
 def _app(connected: bool, internet: bool, active: int | None) -> str:

@@ -357,7 +357,7 @@ def _print_residuals(title: str, found: dict[str, list[Residual]]) -> None:
             *(f"{one.rms:.3f} {one.unit}" for one in rows),
             f"{last.deviation:.2f}",
             f"{last.correlation:.3f}",
-            f"{last.delay_s:+.2f} s",
+            f"{last.delay_s:+z.2f} s",
         )
     out.print(table)
 

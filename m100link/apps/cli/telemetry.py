@@ -434,17 +434,17 @@ def _table(aircraft: Aircraft) -> Table:
 
 _WORDED = {
     Time: "tick {0.tick} = {0.seconds:.2f} s",
-    Attitude: "roll {0.roll_deg:6.1f}°  pitch {0.pitch_deg:6.1f}°  yaw {0.yaw_deg:6.1f}°",
-    Acceleration: "north {0.north_m_s2:6.2f}  east {0.east_m_s2:6.2f}  up {0.up_m_s2:6.2f} m/s²",
-    Velocity: "north {0.north_m_s:6.2f}  east {0.east_m_s:6.2f}  up {0.up_m_s:6.2f} m/s",
-    AngularVelocity: "roll {0.roll_rate_deg_s:6.1f}  pitch {0.pitch_rate_deg_s:6.1f}  "
-    "yaw {0.yaw_rate_deg_s:6.1f} °/s",
-    Position: "{0.latitude_deg:.7f}° {0.longitude_deg:.7f}°  height {0.height_m:.2f} m  "
+    Attitude: "roll {0.roll_deg:z6.1f}°  pitch {0.pitch_deg:z6.1f}°  yaw {0.yaw_deg:z6.1f}°",
+    Acceleration: "north {0.north_m_s2:z6.2f}  east {0.east_m_s2:z6.2f}  up {0.up_m_s2:z6.2f} m/s²",
+    Velocity: "north {0.north_m_s:z6.2f}  east {0.east_m_s:z6.2f}  up {0.up_m_s:z6.2f} m/s",
+    AngularVelocity: "roll {0.roll_rate_deg_s:z6.1f}  pitch {0.pitch_rate_deg_s:z6.1f}  "
+    "yaw {0.yaw_rate_deg_s:z6.1f} °/s",
+    Position: "{0.latitude_deg:.7f}° {0.longitude_deg:.7f}°  height {0.height_m:z.2f} m  "
     "GPS {0.gps_health}",
     Magnetometer: "{0.x:6.0f} {0.y:6.0f} {0.z:6.0f}",
     RemoteControl: "{0.mode_switch.name}  roll {0.roll}  pitch {0.pitch}  yaw {0.yaw}  "
     "throttle {0.throttle}",
-    Gimbal: "roll {0.roll_deg:6.1f}°  pitch {0.pitch_deg:6.1f}°  yaw {0.yaw_deg:6.1f}°",
+    Gimbal: "roll {0.roll_deg:z6.1f}°  pitch {0.pitch_deg:z6.1f}°  yaw {0.yaw_deg:z6.1f}°",
     Battery: "{0.percent} %",
 }
 

@@ -397,7 +397,7 @@ class _Meeting:
             self._see(topic, "", "velocity and position did not arrive meanwhile")
         else:
             rise, sum_of = _steepest(path)
-            figures = f"the barometer rose by {rise:.2f} m, velocity adds up to {sum_of:+.2f} m"
+            figures = f"the barometer rose by {rise:z.2f} m, velocity adds up to {sum_of:+z.2f} m"
             is_shown = rise >= _LIFTED_M and _SHARE * rise <= abs(sum_of) <= rise / _SHARE
             self._see(topic, ("up" if sum_of > 0 else "down") if is_shown else "", figures)
         await self._asked("Put it back on the ground, and leave it still. Is that done?")

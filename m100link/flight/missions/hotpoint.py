@@ -347,7 +347,7 @@ def _require_rate(rate: float, radius: float) -> None:
     most = largest_rate(radius)
     if rate > most + 1e-6:
         raise UsageError(
-            f"{rate:g} °/s on a circle of {radius:g} m would be {math.radians(rate) * radius:.1f} "
+            f"{rate:g} °/s on a circle of {radius:g} m would be {math.radians(rate) * radius:z.1f} "
             "m/s; nothing was sent",
             cause=f"the aircraft refuses more than {_MOST_M_S:g} m/s along the circle",
             remedy=f"stay within {most:.1f} °/s, or choose a smaller radius",
@@ -470,7 +470,7 @@ class FollowFlight(MissionFlight):
         position = known(self._context.commander.state, Position)
         if position is not None and position.height_m < _LOWEST_M:
             raise UsageError(
-                f"the follow mission was asked for at a height of {position.height_m:.1f} m; "
+                f"the follow mission was asked for at a height of {position.height_m:z.1f} m; "
                 "nothing was sent",
                 cause=f"the aircraft refuses to follow below {_LOWEST_M:g} m",
                 remedy=f"await control.climb_to({_LOWEST_M + 1:g}) first",
