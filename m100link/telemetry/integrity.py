@@ -260,8 +260,14 @@ class IntegrityMonitor:
     ``first``: the first package with a time that ever came; None: none did.
     """
 
-    def __init__(self, newest: Callable[[type[Any]], Sample | None], first: Sample | None) -> None:
+    def __init__(
+        self,
+        newest: Callable[[type[Any]], Sample | None],
+        status: Callable[[], FlightStatus | None],  # the one that is believed
+        first: Sample | None,
+    ) -> None:
         self._newest = newest  # the newest package with an item
+        self._status = status
         self._clock = _Clock()
         if first is not None:
             self._clock.look(first)
@@ -312,8 +318,7 @@ class IntegrityMonitor:
 
     def _look_at_place(self, sample: Sample) -> None:
         position = sample[Position]
-        flight = self._newest(FlightStatus)
-        status = None if flight is None else flight[FlightStatus]
+        status = self._status()
         if not has_fix(position) or (status is not None and status.status in _DOWN):
             self._forget()
             self._fault = None

@@ -267,8 +267,11 @@ class AircraftState(RecordViews):
         once a second.
         """
         if self._monitor is None:
-            self._monitor = IntegrityMonitor(self.sample, self._first)
+            self._monitor = IntegrityMonitor(self.sample, self._flown, self._first)
         return self._monitor.look(self.newest_at)
+
+    def _flown(self) -> FlightStatus | None:
+        return self.believed_status or self.flight_status
 
     def received_at(self, record: type[Any]) -> float | None:
         """When the newest record arrived, on the event loop's clock."""

@@ -478,3 +478,15 @@ def test_whatever_comes_nothing_raises() -> None:
             assert not math.isnan(found.test_ratio), seed
             assert not math.isnan(found.height_test_ratio), seed
             assert math.isfinite(found.delay_s), seed
+
+
+def test_one_wrong_status_of_standing_ends_no_finding() -> None:
+    flight = Flight()
+    flight.fly(5.0)
+    flight.offset = 500.0
+    assert flight.fly(0.2).state is S.JUMPED
+    for _ in range(5):
+        flight.status = STANDING
+        flight.fly(0.04)
+        flight.status = FLYING
+        assert flight.fly(0.1).state is S.JUMPED
