@@ -62,8 +62,8 @@ class SuspendWatch:
     def void_until(self, now: float) -> float:
         """Up to when orders may be from before the computer woke, s of the event loop's clock.
 
-        What was sent in the first second of a suspend waits in the line, and looks new by a clock
-        that stood still. To be asked once a second, and before each order. ``now``: s.
+        An order that was sent in the first second of a suspend waits in the line, and looks new by
+        a clock that stood still. To be asked once a second, and before each order. ``now``: s.
         """
         slept = self.slept_s()
         if slept:

@@ -115,7 +115,7 @@ class MissionEnding:
             await asyncio.sleep(0.02)
 
     async def require_over(self) -> None:
-        """Wait until pushes show the end that an answer told; ``NotObserved``: they do not.
+        """Wait until pushes show the end that was answered; ``NotObserved``: they do not.
 
         Pushes that were under way as the answer left are not counted.
         """
