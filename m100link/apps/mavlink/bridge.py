@@ -148,7 +148,8 @@ class Bridge:
         send: Callable[[bytes, Address], None],  # sends a datagram; never waits
         *,
         to: tuple[Address, ...] = (),  # addresses that are spoken to first
-        drain: Callable[[], None] = lambda: None,  # forgets all that waits to be read
+        # Takes all that waits to be read; a datagram may be cut off behind LONGEST_COMMAND bytes.
+        drain: Callable[[], Iterable[tuple[bytes, Address]]] = tuple,
         signer: PacketSigner | None = None,  # signs what goes out, and refuses what is not signed
         autopilot: int = AUTOPILOT_PX4,  # MAV_AUTOPILOT of the heartbeat
     ) -> None:
@@ -182,7 +183,7 @@ class Bridge:
 
     def received(self, data: bytes, address: Address) -> None:
         now = self._clock()
-        if self._stood_still(now):
+        if self._stood_still(now, (data, address)):
             return
         self._share_out(now)
         sender = address if address in self._shares else None
@@ -193,10 +194,15 @@ class Bridge:
         self._flush(now)
         self._hurry()
 
+    def _ends(self, data: bytes, address: Address, now: float) -> tuple[int, ...] | None:
+        """What tells a command of a peer that may end a flight from others; None of any other."""
+        key = ending_command(data)
+        is_ours = key and key[2] in self._ours and self.peers.knows(Peer(address, *key[:2]), now)
+        return key if is_ours else None
+
     def _hold(self, data: bytes, address: Address, now: float) -> None:
         """Drop it, but for the newest of each command of a peer that may end a flight."""
-        key = ending_command(data)
-        if key and key[2] in self._ours and self.peers.knows(Peer(address, *key[:2]), now):
+        if (key := self._ends(data, address, now)) is not None:
             self._held.pop((address, key), None)
             self._held[address, key] = data
         else:
@@ -205,12 +211,15 @@ class Bridge:
     def _read(self, data: bytes, address: Address, now: float) -> None:
         sender = address if address in self._shares else None
         most = max(self._shares[sender], len(data))
-        signed_at = signature_time() if self._signer is not None else 0
-        reading = MessageReader(data, signer=self._signer, now=signed_at, most=most)
+        reading = self._reader(data, most)
         for message in reading:
             self._shares[sender] -= _MESSAGE_COST
             self._take(message, Peer(address, message.system, message.component), now)
         self._shares[sender] -= reading.checked + len(data) // _SKIPPED
+
+    def _reader(self, data: bytes, most: int) -> MessageReader:
+        signed_at = signature_time() if self._signer is not None else 0
+        return MessageReader(data, signer=self._signer, now=signed_at, most=most)
 
     def _take(self, message: MavlinkMessage, peer: Peer, now: float) -> None:
         if message.system in self._ours:
@@ -231,14 +240,24 @@ class Bridge:
             for (address, _), data in held.items():
                 self._read(data, address, now)
 
-    def _stood_still(self, now: float) -> bool:
-        """Forget what was sent while this process was stopped: nobody waits for it any more."""
+    def _stood_still(self, now: float, *came: tuple[bytes, Address]) -> bool:
+        """Forget what was sent while this process was stopped: nobody waits for it any more.
+
+        A command that may end a flight leaves a hover: a stream of setpoints would go on over it.
+        """
         still, self._ran_at = now - self._ran_at, now
         if still < _STOOD_STILL_S:
             return False
-        self._drain()
+        is_ended = any(
+            self._ends(*one, now) is not None
+            and any(True for _ in self._reader(one[0], len(one[0])))
+            for one in (*came, *self._drain())
+        )
+        why = f"{still:.1f} s of standstill: commands sent in that time are ignored"
         for vehicle in self.vehicles:
-            vehicle.tell(f"{still:.1f} s of standstill: commands sent in that time are ignored")
+            vehicle.tell(why)
+            if is_ended:
+                vehicle.manager.stopped("one of these may have ended the flight")
         return True
 
     def step(self) -> None:

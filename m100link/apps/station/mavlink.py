@@ -5,8 +5,8 @@ from __future__ import annotations
 import asyncio
 import logging
 import socket
-from collections.abc import AsyncIterator, Callable, Mapping, Sequence
-from contextlib import AsyncExitStack, asynccontextmanager
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
+from contextlib import AsyncExitStack, asynccontextmanager, suppress
 
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.mavlink.bridge import (
@@ -17,7 +17,7 @@ from m100link.apps.mavlink.bridge import (
     serving,
     signature_time,
 )
-from m100link.apps.mavlink.translator.codec import Address, PacketSigner
+from m100link.apps.mavlink.translator.codec import LONGEST_COMMAND, Address, PacketSigner
 from m100link.apps.mavlink.translator.numbers import AUTOPILOT_GENERIC, AUTOPILOT_PX4
 from m100link.apps.station.config import Settings
 from m100link.apps.station.listeners import Fronts, beside, bound
@@ -92,9 +92,8 @@ async def serving_mavlink(
         # Answers go out where the question came in.
         ways.get(address, senders[0])(data, address)
 
-    def drain() -> None:
-        for one in sockets:
-            _drain(one)
+    def drain() -> list[tuple[bytes, Address]]:
+        return [came for one in sockets for came in _drained(one)]
 
     signer = _signer(settings)
     bridge = Bridge(
@@ -165,10 +164,8 @@ async def _remembering(signer: PacketSigner, bridge: Bridge) -> AsyncIterator[No
         await write(memory.last())
 
 
-def _drain(one: socket.socket) -> None:
-    """Forget what came while nobody read: no sender waits for those commands any more."""
-    for _ in range(_MOST_WAITING):
-        try:
-            one.recv(1)
-        except OSError:
-            return  # nothing waits any more
+def _drained(one: socket.socket) -> Iterator[tuple[bytes, Address]]:
+    """What came while nobody read, as far as it may be one command, and from where."""
+    with suppress(OSError):  # nothing waits any more
+        for _ in range(_MOST_WAITING):
+            yield one.recvfrom(LONGEST_COMMAND + 1)

@@ -254,8 +254,13 @@ async def test_what_was_sent_while_the_process_stood_still_is_not_carried_out(
 ) -> None:
     """A machine that wakes up does not take off by what somebody asked for, and gave up."""
     drained: list[float] = []
+
+    def drain() -> list[Any]:
+        drained.append(rig.client.now)
+        return []
+
     bridge, step = rig.bridge, rig.bridge.step
-    monkeypatch.setattr(bridge, "_drain", lambda: drained.append(rig.client.now))
+    monkeypatch.setattr(bridge, "_drain", drain)
     monkeypatch.setattr(bridge, "step", lambda: None)
     ground.is_silent = True  # what is sent waits in the socket
     await anyio.sleep(3.0)
@@ -269,6 +274,56 @@ async def test_what_was_sent_while_the_process_stood_still_is_not_carried_out(
     assert "s of standstill" in ground.texts
     await ground.arm()
     assert rig.agent.holding.has_authority
+
+
+@pytest.mark.parametrize(
+    ("what", "place"),
+    [
+        *(("hold", "the first"), ("hold", "one behind it"), ("land", "the first")),
+        *(("disarm", "one behind it"), ("hold of nobody", "one behind it")),
+    ],
+)
+async def test_a_stream_does_not_go_on_over_a_stop_that_came_in_a_standstill(
+    rig: Rig, ground: Ground, monkeypatch: pytest.MonkeyPatch, what: str, place: str
+) -> None:
+    await ground.fly(4.0)
+    other = Ground(rig, ("127.0.0.1", 7000), 246)
+    other.beat()
+    send_velocity(ground, vx=2.0)
+    assert await ground.set_mode(Mode.OFFBOARD) is MavResult.ACCEPTED
+
+    async def stream(seconds: float) -> None:
+        for _ in range(round(seconds / 0.05)):
+            send_velocity(ground, vx=2.0)
+            await anyio.sleep(0.05)
+
+    await stream(2.0)
+    assert rig.speed > 1.5
+    bridge, step, received = rig.bridge, rig.bridge.step, rig.bridge.received
+    waits: list[tuple[Any, ...]] = []
+    monkeypatch.setattr(bridge, "received", lambda *came: waits.append(came))
+    monkeypatch.setattr(bridge, "step", lambda: None)
+    sender = Ground(rig, ("127.0.0.1", 7001), 250) if "nobody" in what else other
+    if place == "one behind it":
+        send_velocity(ground, vx=2.0)
+    command = MavCommand.NAV_LAND if what == "land" else MavCommand.DO_PAUSE_CONTINUE
+    sender.command(MavCommand.COMPONENT_ARM_DISARM if what == "disarm" else command, 0)
+    send_velocity(ground, vx=2.0)
+    await anyio.sleep(1.2)
+    monkeypatch.setattr(bridge, "_drain", lambda: [waits.pop(0) for _ in list(waits)])
+    monkeypatch.setattr(bridge, "received", received)
+    monkeypatch.setattr(bridge, "step", step)
+    bridge.received(*waits.pop(0))
+    await stream(3.0)
+    if "nobody" in what:
+        assert rig.speed > 1.5
+        return
+    assert ground.mode is Mode.HOLD
+    assert rig.speed < 0.1
+    assert "one of these may have ended the flight" in ground.texts
+    assert await ground.set_mode(Mode.OFFBOARD) is MavResult.ACCEPTED
+    await stream(2.0)
+    assert rig.speed > 1.5
 
 
 @pytest.mark.parametrize("is_known", [False, True])

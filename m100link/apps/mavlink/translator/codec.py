@@ -382,7 +382,7 @@ class MessageReader:
 # Where the sender, the number and the payload of a frame begin, by its first byte.
 _PLACES = {_V2: (5, 7, _HEADER_V2.size), _V1: (3, 5, _HEADER_V1.size)}
 # Bytes of a datagram with one command: SET_MODE of version 1, and a command with its signature.
-_SHORTEST_COMMAND, _LONGEST_COMMAND = 14, 64
+_SHORTEST_COMMAND, LONGEST_COMMAND = 14, 64
 _ENDING = frozenset(
     (
         *(MavCommand.NAV_LAND, MavCommand.NAV_RETURN_TO_LAUNCH, MavCommand.COMPONENT_ARM_DISARM),
@@ -397,7 +397,7 @@ def ending_command(data: bytes) -> tuple[int, int, int, int] | None:
 
     Nothing is read or checked: it costs less than a microsecond, in a flood as well.
     """
-    if not _SHORTEST_COMMAND <= len(data) <= _LONGEST_COMMAND or data[0] not in _PLACES:
+    if not _SHORTEST_COMMAND <= len(data) <= LONGEST_COMMAND or data[0] not in _PLACES:
         return None
     sender, number, begin = _PLACES[data[0]]
     payload = data[begin : begin + data[1]].ljust(32, b"\0")  # zeros at its end are left out
