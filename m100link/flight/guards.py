@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -501,3 +502,53 @@ class GuardKeeper:
         if attitude is None:
             return None
         return over_ground(forward, right, attitude)
+
+
+# -- detect that the computer slept: the event loop's clock stopped, the aircraft did not ----------
+
+
+_WITH_SLEEP = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)  # on macOS the other one
+_NOTICED_S = 0.1
+_READINGS = 3
+
+SUSPENDED_S = 1.0
+"""Seconds by which what was sent during a suspend may seem to be from after it."""
+
+
+def asleep_s() -> float:
+    """Return the seconds for which the computer was suspended since it started, plus a constant."""
+    # In this order: a process that is stopped between the two readings makes the result smaller, so
+    # no sleep is seen where there was none.
+    with_sleep = time.clock_gettime(_WITH_SLEEP)
+    return with_sleep - time.monotonic()
+
+
+class SuspendWatch:
+    """Notices a suspend after it was made.
+
+    The event loop's clock counts every age and lifetime of a flight. It is CLOCK_MONOTONIC, which
+    stops while the computer is suspended: on waking, a setpoint of an hour ago is a tenth of a
+    second old. So nothing relies on ages after a suspend.
+    """
+
+    def __init__(self) -> None:
+        # The largest of some readings is the one between which the process was not stopped.
+        self._before_s = max(asleep_s() for _ in range(_READINGS))
+        self._void_until = -math.inf
+
+    def slept_s(self) -> float:
+        """Return for how long the computer was suspended, s; 0 when it was not."""
+        slept = asleep_s() - self._before_s
+        return slept if slept > _NOTICED_S else 0.0
+
+    def void_until(self, now: float) -> float:
+        """Up to when orders may be from before the computer woke, s of the event loop's clock.
+
+        An order that was sent in the first second of a suspend waits in the line, and looks new by
+        a clock that stood still. To be asked once a second, and before each order. ``now``: s.
+        """
+        slept = asleep_s() - self._before_s
+        if slept > _NOTICED_S:
+            self._before_s += slept
+            self._void_until = now + SUSPENDED_S
+        return self._void_until

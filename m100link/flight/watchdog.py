@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import math
-import time
 from collections.abc import Callable
 
 from m100link.errors import (
@@ -14,63 +13,13 @@ from m100link.errors import (
     SetpointsIgnored,
     TelemetryStalled,
 )
-from m100link.flight.guards import Guards, known, over_ground
+from m100link.flight.guards import Guards, SuspendWatch, known, over_ground
 from m100link.flight.lifecycle import StopCause
 from m100link.geodesy import normalize_degrees
 from m100link.link import Latency
 from m100link.protocol.records import Attitude, FlightPhase, FlightStatus, Position, Velocity
 from m100link.protocol.setpoint import Horizontal, ReferenceFrame, Setpoint, Vertical, Yaw
 from m100link.telemetry.state import STEER_S, AircraftState
-
-# -- detect that the computer slept: the event loop's clock stopped, the aircraft did not ----------
-
-
-_WITH_SLEEP = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)  # on macOS the other one
-_NOTICED_S = 0.1
-_READINGS = 3
-
-SUSPENDED_S = 1.0
-"""Seconds by which what was sent during a suspend may seem to be from after it."""
-
-
-def asleep_s() -> float:
-    """Return the seconds for which the computer was suspended since it started, plus a constant."""
-    # In this order: a process that is stopped between the two readings makes the result smaller, so
-    # no sleep is seen where there was none.
-    with_sleep = time.clock_gettime(_WITH_SLEEP)
-    return with_sleep - time.monotonic()
-
-
-class SuspendWatch:
-    """Notices a suspend after it was made.
-
-    The event loop's clock counts every age and lifetime of a flight. It is CLOCK_MONOTONIC, which
-    stops while the computer is suspended: on waking, a setpoint of an hour ago is a tenth of a
-    second old. So nothing relies on ages after a suspend.
-    """
-
-    def __init__(self) -> None:
-        # The largest of some readings is the one between which the process was not stopped.
-        self._before_s = max(asleep_s() for _ in range(_READINGS))
-        self._void_until = -math.inf
-
-    def slept_s(self) -> float:
-        """Return for how long the computer was suspended, s; 0 when it was not."""
-        slept = asleep_s() - self._before_s
-        return slept if slept > _NOTICED_S else 0.0
-
-    def void_until(self, now: float) -> float:
-        """Up to when orders may be from before the computer woke, s of the event loop's clock.
-
-        An order that was sent in the first second of a suspend waits in the line, and looks new by
-        a clock that stood still. To be asked once a second, and before each order. ``now``: s.
-        """
-        slept = self.slept_s()
-        if slept:
-            self._before_s += slept
-            self._void_until = now + SUSPENDED_S
-        return self._void_until
-
 
 # -- check that the aircraft follows setpoints: the wire to it may be broken while all else wor ----
 

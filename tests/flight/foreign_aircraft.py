@@ -36,6 +36,7 @@ APP_ID, KEY = 77, bytes(range(32, 64))
 PERIOD_S = 0.02
 RC, APP, ONBOARD = 0, 1, 2
 STANDBY, IN_AIR, LANDING, GOING_HOME = 1, 3, 4, 6
+SINK_M_S = 3.0
 MODE_P, MODE_F = -8000, 8000
 VERSION_NAMES = {
     "1.0": b"SDK v1.0 M100",
@@ -149,16 +150,22 @@ class ForeignMatrice:
         self._next_at = max(self._next_at + PERIOD_S, now)
         if now >= self._lands_at:
             self.status, self._lands_at, self.missions.height = STANDBY, math.inf, 0.0
+        # It does not fall: a position that jumps is none that the library believes.
+        self.missions.height = min(self.missions.height, (self._lands_at - now) * SINK_M_S)
         if now >= self._took_off_at:
             self.status, self._took_off_at, self.missions.height = IN_AIR, math.inf, 1.2
         if now < self._moves_until and self.status == IN_AIR:
             self._flown_north += self._moves[0] * PERIOD_S
             self._flown_east += self._moves[1] * PERIOD_S
         if self.missions.advance(PERIOD_S) == "land":
-            self.status, self._lands_at = LANDING, now + 0.5
+            self._land(now)
         self._write(frame(b"\x02\x00" + self._telemetry(now)))
         for push in self.missions.pushes():
             self._write(frame(push))
+
+    def _land(self, now: float) -> None:
+        self.status = LANDING
+        self._lands_at = now + max(0.5, self.missions.height / SINK_M_S)
 
     def receive(self, data: bytes) -> None:
         """Bytes came."""
@@ -222,7 +229,7 @@ class ForeignMatrice:
                 self._took_off_at = self.now() + 0.5
             elif value[1] == 6:
                 self.missions.break_off(0xF1)
-                self.status, self._lands_at = LANDING, self.now() + 0.5
+                self._land(self.now())
             return b"\2\0"
         if (group, number) == (1, 2):
             is_over = self._lands_at == self._took_off_at == math.inf

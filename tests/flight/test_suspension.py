@@ -11,8 +11,8 @@ import pytest
 
 from m100link import Control
 from m100link.errors import ComputerSuspended
-from m100link.flight import watchdog as suspension
-from m100link.flight.watchdog import SuspendWatch
+from m100link.flight import guards as suspension
+from m100link.flight.guards import SuspendWatch
 from tests.rig import NORTH, Rig, rig
 
 pytestmark = pytest.mark.anyio
@@ -38,8 +38,8 @@ class Computer:
 @pytest.fixture
 def computer(monkeypatch: pytest.MonkeyPatch) -> Computer:
     made = Computer()
-    monkeypatch.setattr("m100link.flight.watchdog.time.monotonic", made.monotonic)
-    monkeypatch.setattr("m100link.flight.watchdog.time.clock_gettime", made.clock_gettime)
+    monkeypatch.setattr("m100link.flight.guards.time.monotonic", made.monotonic)
+    monkeypatch.setattr("m100link.flight.guards.time.clock_gettime", made.clock_gettime)
     return made
 
 

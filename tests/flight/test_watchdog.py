@@ -8,7 +8,7 @@ from typing import cast
 import pytest
 
 from m100link.errors import ComputerSuspended, M100Error, NavigationLost, TelemetryStalled
-from m100link.flight import watchdog as suspension
+from m100link.flight import guards as suspension
 from m100link.flight.guards import Guards
 from m100link.flight.lifecycle import StopCause
 from m100link.flight.watchdog import TelemetryWatchdog

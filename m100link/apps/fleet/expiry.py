@@ -13,7 +13,7 @@ from enum import Enum
 from m100link.apps.agent.messages import Steer
 from m100link.apps.agent.orders import AfterStop
 from m100link.errors import GuardRefused
-from m100link.flight.watchdog import SUSPENDED_S, SuspendWatch
+from m100link.flight.guards import SUSPENDED_S, SuspendWatch
 
 ORDER_AGE = "order_age"
 """Name of the guard: an order that it refuses was not carried out."""

@@ -138,7 +138,7 @@ def test_what_was_sent_in_the_first_second_of_a_suspend_is_not_begun(
 ) -> None:
     """The clock of its asker went on; that of a suspended agent stood still, and looks new."""
     slept = [0.0]
-    monkeypatch.setattr("m100link.flight.watchdog.asleep_s", lambda: slept[0])
+    monkeypatch.setattr("m100link.flight.guards.asleep_s", lambda: slept[0])
     ages = OrderExpiry()
     ages.hear(1, ANEW, 10.0, 10.1)
     slept[0] = 3600.0

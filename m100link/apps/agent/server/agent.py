@@ -31,10 +31,9 @@ from m100link.apps.agent.server.connection import AircraftConnection, Connect
 from m100link.apps.agent.server.flight import ActiveFlight, pattern
 from m100link.apps.agent.server.replays import Replays, refused
 from m100link.errors import AuthorityLost, GuardRefused, M100Error, UsageError
-from m100link.flight.guards import Envelope, Guards
+from m100link.flight.guards import Envelope, Guards, SuspendWatch
 from m100link.flight.missions.hotpoint import HotpointFlight
 from m100link.flight.missions.waypoint import WaypointFlight
-from m100link.flight.watchdog import SuspendWatch
 from m100link.protocol.commands.activation import Credentials
 from m100link.protocol.commands.control import Task
 from m100link.protocol.commands.gimbal import GimbalAngleMode

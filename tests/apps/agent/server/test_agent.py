@@ -32,7 +32,7 @@ from m100link.errors import (
     TaskRefused,
     UsageError,
 )
-from m100link.flight.watchdog import SuspendWatch
+from m100link.flight.guards import SuspendWatch
 from m100link.missions.plan import Waypoint, WaypointPlan
 from m100link.protocol.commands.gimbal import GimbalAngle
 from m100link.protocol.commands.hotpoint import HotpointStart
@@ -744,7 +744,7 @@ async def test_what_waited_in_the_line_of_a_suspended_computer_moves_nothing(
 ) -> None:
     """Both clocks stood still, so it looks new: of a laptop that was opened after an hour."""
     agent, slept = rig.agent, [0.0]
-    monkeypatch.setattr("m100link.flight.watchdog.asleep_s", lambda: slept[0])
+    monkeypatch.setattr("m100link.flight.guards.asleep_s", lambda: slept[0])
     agent._suspended = SuspendWatch()
     await airborne(rig)
     slept[0] = 3600.0
