@@ -105,10 +105,6 @@ def _live(loop_factory: Callable[[], asyncio.AbstractEventLoop] | None, begun: C
         begun.end(error)
 
 
-def _closed() -> LinkClosed:
-    return LinkClosed("the aircraft was closed by another thread while this one waited for it")
-
-
 class Portal:
     """An event loop in a thread of its own, and the doors to it.
 
@@ -183,15 +179,14 @@ class Portal:
 
         async def carry_out() -> None:
             caller.begin_waiting()
+            error, result = None, None
             try:
                 result = await make(caller)
-            except BaseException as error:  # noqa: BLE001 (it belongs to the caller)
-                caller.end_waiting()
-                is_end = isinstance(error, asyncio.CancelledError) and not self.is_open
-                caller.end(_closed() if is_end else error)
-            else:
-                caller.end_waiting()
-                caller.end(None, result)
+            except BaseException as raised:  # noqa: BLE001 (it belongs to the caller)
+                error = raised
+            caller.end_waiting()
+            if self.is_open or not isinstance(error, asyncio.CancelledError):  # or `close` does
+                caller.end(error, result)
 
         try:
             answer: T = self._answer_of(
@@ -234,8 +229,9 @@ class Portal:
         if self._process == os.getpid() and self._thread.is_alive():
             self._schedule(self._loop.stop)
             self._thread.join()
+        why = "the aircraft was closed by another thread while this one waited for it"
         for caller in list(self._waiting):
-            caller.end(_closed())
+            caller.end(LinkClosed(why))
 
     def close_after(
         self, close: Callable[[], Coroutine[Any, Any, None]], on_end: Callable[[], None]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncIterator, Callable
 from contextlib import AbstractAsyncContextManager
-from types import TracebackType
 from typing import Any, Generic, Self, TypeVar
 
 from m100link.aircraft import payload
@@ -112,12 +111,7 @@ class Subscription(Handed, Generic[T]):
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 
@@ -154,14 +148,9 @@ class _Block(Generic[T]):
             self._portal.soon_await(self._leave)  # entered all the same, nobody is to leave it
             raise
 
-    def __exit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: Any) -> None:
         try:
-            self._portal.wait(lambda _: self._leave(exc_type, exc, traceback))
+            self._portal.wait(lambda _: self._leave(*error))
         except BaseException:
             self._portal.soon_await(self._leave)  # a signal may raise before it was asked for
             raise

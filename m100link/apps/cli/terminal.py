@@ -74,13 +74,11 @@ class _Reported:
         return getattr(self._stream, name)
 
     def write(self, text: str) -> int:
-        """As the stream does."""
         with self._watched():
             self._stream.write(text)
         return len(text)
 
     def flush(self) -> None:
-        """As the stream does."""
         with self._watched():
             self._stream.flush()
 

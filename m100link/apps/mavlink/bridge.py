@@ -195,7 +195,7 @@ class Bridge:
         self._hurry()
 
     def _ends(self, data: bytes, address: Address, now: float) -> tuple[int, ...] | None:
-        """The key of a command of a peer that may end a flight; None of any other message."""
+        """The key of a command of a known peer that may end a flight; None of any other."""
         key = ending_command(data)
         is_ours = key and key[2] in self._ours and self.peers.knows(Peer(address, *key[:2]), now)
         return key if is_ours else None

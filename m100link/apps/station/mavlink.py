@@ -165,7 +165,7 @@ async def _remembering(signer: PacketSigner, bridge: Bridge) -> AsyncIterator[No
 
 
 def _drained(one: socket.socket) -> Iterator[tuple[bytes, Address]]:
-    """The datagrams that came while nobody read, as far as each may be one command."""
+    """Datagrams that came while nobody read, as far as they may be one command, and from where."""
     with suppress(OSError):  # nothing waits any more
         for _ in range(_MOST_WAITING):
             yield one.recvfrom(LONGEST_COMMAND + 1)
