@@ -7,6 +7,7 @@ import re
 import signal
 import sys
 from difflib import get_close_matches
+from errno import EPIPE
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
@@ -243,10 +244,16 @@ def run() -> None:
     try:
         with speak_to_anybody():
             status = _status_of(sys.argv[1:])
-    except ReaderGone:
+    except ReaderGone as error:
         status = ExitCode.OK
-    except M100Error as error:  # the last of the output found no place
-        status = complain(error)
+        if error.errno != EPIPE:
+            status = complain(
+                M100Error(
+                    f"standard output takes no more: {error.strerror}",
+                    cause="the disk is full, or the terminal is gone",
+                    remedy="look at the aircraft, if the command moves it, and make room",
+                )
+            )
     sys.exit(status)
 
 

@@ -39,9 +39,10 @@ _ASCII = dict(zip(_DRAWN, 'd2ux~.~-->+<>*-""^^vx#.|`||-', strict=True))
 
 
 class ReaderGone(OSError):
-    """The reader of standard output is gone, as behind ``| head``: no error of the command.
+    """Standard output takes no more: its reader is gone, as behind ``| head``, or its disk is full.
 
-    It is no BrokenPipeError: rich would end the process with 1.
+    A reader that is gone is no error of the command. It is no BrokenPipeError: rich would end the
+    process with 1.
     """
 
 
@@ -93,13 +94,7 @@ class _Reported:
             os.close(nowhere)
             if not self._raises:
                 return
-            if isinstance(error, BrokenPipeError):
-                raise ReaderGone(*error.args) from None
-            raise errors.M100Error(
-                f"standard output takes no more: {error.strerror}",
-                cause="the disk is full, or the terminal is gone",
-                remedy="look at the aircraft if the command moves it; the rest was not written",
-            ) from error
+            raise ReaderGone(*error.args) from None
 
 
 @contextlib.contextmanager
@@ -107,8 +102,8 @@ def speak_to_anybody() -> Iterator[None]:
     """While the block runs, output fits its terminal, and a closed pipe has its own error.
 
     Raises:
-        ReaderGone, M100Error: From any write to standard output: nobody reads it; its disk is full.
-            Standard error passes these over: a flight does not end because nobody hears its talk.
+        ReaderGone: From any write to standard output. Standard error passes it over: a flight does
+            not end because nobody hears its talk.
     """
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:  # closed, as ``2>&-`` does: nothing else is to get its place

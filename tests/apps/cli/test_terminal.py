@@ -124,10 +124,27 @@ def test_a_full_disk_keeps_no_talk_from_going_on_and_is_told_of_data(
             sys.stderr.write(word)
             sys.stderr.flush()
         sys.stdout.write("data")
-        with pytest.raises(errors.M100Error, match="No space left"):
+        with pytest.raises(ReaderGone, match="No space left"):
             sys.stdout.flush()
     out.close()
     err.close()
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="only Linux has a full disk to write to")
+def test_data_that_a_full_disk_does_not_take_are_an_error_of_the_command() -> None:
+    with Path("/dev/full").open("wb") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "m100link", "decode", "--table", FRAME],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            cwd=ROOT,
+            timeout=PATIENCE,
+            check=False,
+        )
+    assert done.returncode == ExitCode.FAILED
+    assert "standard output takes no more: No space left" in done.stderr
+    assert "Traceback" not in done.stderr
 
 
 @pytest.mark.parametrize("closed", [">&-", "<&- >&- 2>&-"])
