@@ -49,8 +49,9 @@ class Control(Handed):
         try:
             self._portal.wait(lambda _: self._aio.obtain())
             return self
-        except BaseException:
-            self.interrupt()  # it may be obtained all the same, and nobody is to leave it
+        except BaseException as error:
+            if not isinstance(error, M100Error):
+                self.interrupt()  # it may be obtained all the same, and nobody is to leave it
             SIGNALS.leave(self)
             raise
 

@@ -144,8 +144,9 @@ class _Block(Generic[T]):
         try:
             self._portal.wait(enter)
             return self
-        except BaseException:
-            self._portal.soon_await(self._leave)  # entered all the same, nobody is to leave it
+        except BaseException as error:
+            if not isinstance(error, M100Error):  # entered all the same, nobody is to leave it
+                self._portal.soon_await(self._leave)
             raise
 
     def __exit__(self, *error: Any) -> None:

@@ -24,6 +24,7 @@ from m100link import (
     Setpoint,
     TaskProgress,
     TelemetryStalled,
+    UsageError,
     Waypoint,
     WaypointPlan,
     sync,
@@ -151,6 +152,16 @@ def test_control_by_hand_at_a_prompt(connect: Connect) -> None:
     control.release()
     control.release()
     assert aircraft.authority.state is AuthorityState.NONE
+
+
+def test_control_that_is_asked_for_twice_by_mistake_is_kept(connect: Connect) -> None:
+    control = activated(connect).control().obtain()
+    for again in (control.obtain, control.__enter__):
+        with pytest.raises(UsageError, match="entered before"):
+            again()
+    control.take_off()
+    assert control.has_authority
+    control.release()
 
 
 # -- a signal handler of the program raises, wherever this thread is -------------------------------
