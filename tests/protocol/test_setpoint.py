@@ -175,8 +175,9 @@ def test_no_value_may_be_nan_or_infinite(
     name: str,
     value: float,
 ) -> None:
-    with pytest.raises(BadSetpoint):
+    with pytest.raises(BadSetpoint) as caught:
         build(horizontal, vertical, yaw, **only(name, value))
+    assert caught.value.cause == "a computation that went wrong upstream"
 
 
 @pytest.mark.parametrize("name", ["x", "z"])

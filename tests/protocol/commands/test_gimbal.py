@@ -60,6 +60,49 @@ def test_what_a_gimbal_does_not_do_is_refused_before_it_is_sent(
     assert re.search("stay within|allowed", caught.value.remedy)
 
 
+# Little endian, tenths of a degree: yaw, roll, pitch, and flags, or mode and tenths of a second.
+@pytest.mark.parametrize(
+    ("command", "value"),
+    [
+        (GimbalSpeed(180.0, -180.0, 12.3, 0xE0), "0807 f8f8 7b00 e0"),
+        (GimbalSpeed(-180.0, 180.0, -12.3, 0x00), "f8f8 0807 85ff 00"),
+        (GimbalAngle(320.0, -35.0, 30.0, 0, 25.5), "800c a2fe 2c01 00 ff"),
+        (GimbalAngle(-320.0, 35.0, -90.0, 15, 0.0), "80f3 5e01 7cfc 0f 00"),
+        (TakePhoto(0), "00"),
+        (StopVideo(255), "ff"),
+    ],
+    ids=str,
+)
+def test_what_a_gimbal_and_a_camera_do_reaches_to_these_ends(command: Push, value: str) -> None:
+    assert command.value(FIRMWARE) == bytes.fromhex(value)
+    assert command.problems() == []
+
+
+@pytest.mark.parametrize(
+    ("command", "fields"),
+    [
+        (GimbalSpeed(180.1, -180.1, 180.0), ["yaw", "roll"]),
+        (GimbalSpeed(pitch_deg_s=-180.1), ["pitch"]),
+        (GimbalSpeed(flags=-0x80), ["flags"]),
+        (GimbalSpeed(flags=0x180), ["flags"]),
+        (GimbalSpeed(flags=0x90), ["flags"]),
+        (GimbalAngle(320.1, 35.1, 30.1, 16), ["yaw", "roll", "pitch", "mode"]),
+        (GimbalAngle(-320.1, -35.1, -90.1, -1), ["yaw", "roll", "pitch", "mode"]),
+    ],
+    ids=str,
+)
+def test_what_another_program_sent_and_no_gimbal_does_is_named(
+    command: GimbalSpeed | GimbalAngle, fields: list[str]
+) -> None:
+    assert [problem.field for problem in command.problems()] == fields
+
+
+@pytest.mark.parametrize("byte", [-1, 256])
+def test_a_camera_is_sent_one_byte(byte: int) -> None:
+    with pytest.raises(UsageError, match=f"any {byte} cannot be sent"):
+        TakePhoto(byte).encode(FIRMWARE)
+
+
 def test_the_mode_is_shown_in_words() -> None:
     mode = GimbalAngleMode.ABSOLUTE | GimbalAngleMode.KEEP_ROLL
     assert GimbalAngle(mode=mode).fields()["mode_bits"] == ["absolute", "keep_roll"]
