@@ -490,3 +490,121 @@ def test_one_wrong_status_of_standing_ends_no_finding() -> None:
         flight.fly(0.04)
         flight.status = FLYING
         assert flight.fly(0.1).state is S.JUMPED
+
+
+# -- figures ---------------------------------------------------------------------------------------
+
+
+def steady(step_s: float = 0.1, **values: object) -> Flight:
+    """Ten good seconds: its clock is trusted."""
+    flight = Flight(step_s=step_s, **values)  # type: ignore[arg-type]
+    assert flight.fly(10.0).state is S.GOOD
+    return flight
+
+
+def test_ratios_are_what_is_left_of_differences_by_their_gate() -> None:
+    """In 0.1 s, e^(-0.1/1.667) = 0.9418 of one is left; the gates are 2.5 and 5 m, and 3.5 cm."""
+    flight = steady()
+    flight.told_speed, flight.told_climb = 4.0, 3.0
+    first, second = flight.fly(0.1), flight.fly(0.1)
+    assert first.test_ratio == pytest.approx(0.2 / 2.535, abs=1e-3)
+    assert first.height_test_ratio == pytest.approx(0.15 / 5.035, abs=1e-3)
+    assert second.test_ratio == pytest.approx((0.2 * 0.9418 + 0.4) / 2.535, abs=1e-3)
+    assert second.height_test_ratio == pytest.approx((0.15 * 0.9418 + 0.3) / 5.035, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("change", "state", "seen"),
+    [
+        ({"offset": 50.0}, S.JUMPED, "the position jumped by 50 m within 0.10 s"),
+        ({"height": 70.0}, S.JUMPED, "the position jumped by 50 m within 0.10 s"),
+        ({"told_speed": 0.36}, S.FROZEN, "the position stood still for 1.1 s at a velocity of 0.4"),
+        ({"told_speed": 0.25}, S.GOOD, ""),
+        ({"told_climb": -2.0}, S.FROZEN, "the height stood still for 1.1 s at a velocity of 2.0"),
+        ({"told_climb": 0.25}, S.GOOD, ""),
+        ({"speed": 1.4, "told_speed": 0.0}, S.GOOD, ""),
+        ({"speed": 1.7, "told_speed": 0.0}, S.INCONSISTENT, "the position is 2.5 m from where"),
+        ({"climb": 4.0, "told_climb": 6.9}, S.GOOD, ""),
+        ({"climb": 4.0, "told_climb": 7.2}, S.INCONSISTENT, "the height is 5.1 m from where"),
+        ({"delay": 0.48}, S.GOOD, ""),
+        ({"delay": 0.55}, S.LATE, "telemetry comes 0.5 s late"),
+        ({"tick_rate": 0.0}, S.CLOCK_STOPPED, "has not advanced for 1.1 s"),
+    ],
+    ids=str,
+)
+def test_a_finding_begins_at_its_limit_and_names_its_figures(
+    change: dict[str, float], state: IntegrityState, seen: str
+) -> None:
+    flight = steady()
+    for name, value in change.items():
+        setattr(flight, name, value)
+    found = next(
+        (one for one in (flight.fly(0.1) for _ in range(100)) if one.state is not S.GOOD), None
+    )
+    assert (found.state if found else S.GOOD) is state
+    assert found is None or seen in found.seen
+
+
+@pytest.mark.parametrize(("rate", "found"), [(0.96, S.LATE), (0.94, S.GOOD), (1.04, S.GOOD)])
+def test_a_clock_is_trusted_that_is_right_to_five_percent(
+    rate: float, found: IntegrityState
+) -> None:
+    """One that loses 4 % is half a second late after 13 s."""
+    assert Flight(step_s=0.1, tick_rate=rate).fly(20.0).state is found
+
+
+def test_how_late_packages_come_is_known_once_the_clock_is_and_lasts_for_a_moment() -> None:
+    flight = Flight(step_s=0.02)
+    flight.fly(0.5)
+    flight.delay = 0.3
+    assert flight.fly(1.0).delay_s == 0.0
+    flight = steady(0.02)
+    flight.delay = 0.3
+    assert flight.fly(0.1).delay_s == pytest.approx(0.3, abs=5e-3)
+    flight.delay = 0.6
+    assert flight.fly(0.2).state is S.GOOD, "what waited is read in a moment"
+    assert flight.fly(0.06).state is S.LATE
+
+
+@pytest.mark.parametrize(("silent", "delay"), [(0.1, 0.8), (0.3, 0.0)])
+def test_after_a_second_of_silence_delays_count_anew(silent: float, delay: float) -> None:
+    flight = steady(0.02)
+    flight.now, flight.device = flight.now + silent, flight.device + silent
+    flight.delay = 0.8
+    assert flight.fly(0.1).delay_s == pytest.approx(delay, abs=5e-3)
+
+
+@pytest.mark.parametrize(("gap", "found"), [(2.3, S.JUMPED), (2.6, S.GOOD)])
+def test_after_two_and_a_half_seconds_nobody_knows_where_it_may_be(
+    gap: float, found: IntegrityState
+) -> None:
+    flight = steady(has_velocity=False)
+    flight.now, flight.device = flight.now + gap, flight.device + gap
+    flight.offset = 70.0
+    assert flight.fly(0.1).state is found
+
+
+@pytest.mark.parametrize(("leap", "found"), [(1.8, S.JUMPED), (2.2, S.GOOD)])
+def test_a_clock_that_leaps_by_more_than_two_seconds_began_anew(
+    leap: float, found: IntegrityState
+) -> None:
+    flight = steady(has_velocity=False)
+    flight.device += leap
+    flight.offset = 70.0
+    assert flight.fly(0.1).state is found
+
+
+@pytest.mark.parametrize(("off", "found"), [(29.0, S.GOOD), (31.0, S.JUMPED)])
+def test_without_a_clock_arrivals_may_be_off_by_a_second(off: float, found: IntegrityState) -> None:
+    """25 m/s fly 27.5 m in 1.1 s, and places may be off by 2.5 m."""
+    flight = steady(has_velocity=False, has_time=False)
+    flight.offset = off
+    assert flight.fly(0.1).state is found
+
+
+def test_a_place_is_believed_again_after_three_seconds() -> None:
+    flight = steady()
+    flight.offset = 50.0
+    assert flight.fly(0.1).state is S.JUMPED
+    assert flight.fly(2.8).state is S.JUMPED
+    assert flight.fly(0.3).state is S.GOOD
