@@ -252,3 +252,49 @@ def test_a_silence_of_the_status_is_no_word_for_standing(state: AircraftState) -
     assert [told(state, at, STANDS) for at in (101.0, 104.0, 107.0, 110.0)] == [FLIES] * 4
     assert [told(state, at, STANDS) for at in (111.0, 112.0)] == [FLIES, STANDS]
     assert told(state, 115.0, STANDS) is None
+
+
+# -- which values: the tables of the library and of refusals ---------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "seconds"),
+    [("velocity", (1.0, 2.0, 3.0), 1.2), ("flight_status", (3,), 2.5), ("battery", (63,), 5.0)],
+)
+def test_a_value_is_known_for_the_time_of_its_item(
+    state: AircraftState, clock: Clock, name: str, value: tuple[float, ...], seconds: float
+) -> None:
+    state.update(sample(100.0, **{name: value}))
+    record = next(item.record for item in ITEMS if item.name == name)
+    known = []
+    for off in (seconds - 0.01, seconds + 0.01):
+        for clock.now in (100.0 - off, 100.0 + off):
+            known.append(state.fresh(record) is not None)
+    assert known == [True, True, False, False]
+
+
+@pytest.mark.parametrize(("status", "shown"), [(1, "STANDBY"), (3, "IN_AIR"), (99, 99)])
+@pytest.mark.parametrize(("mode", "switch"), [(8000, "F"), (0, "A"), (-8000, "P")])
+def test_a_refusal_names_what_was_known(
+    state: AircraftState, status: int, shown: object, mode: int, switch: str
+) -> None:
+    state.update(
+        sample(
+            100.0,
+            flight_status=(status,),
+            position=(0.5, 0.25, 80.0, 12.346, 4),
+            battery=(63,),
+            rc=(1000, -2000, 3000, -4000, mode, -4545),
+            control_device=(2,),
+        )
+    )
+    assert state.situation() == {
+        "flight_status": shown,
+        "height_m": 12.35,
+        "battery_percent": 63,
+        "gps_health": 4,
+        "mode_switch": switch,
+        "control_device": "ONBOARD",
+    }
+    state.update(sample(100.1, rc=(0,) * 6))
+    assert state.situation()["mode_switch"] is None, "it is off"
