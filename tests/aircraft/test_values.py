@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from random import Random
 from types import SimpleNamespace
 from typing import Any
@@ -11,7 +12,7 @@ from unittest.mock import AsyncMock, MagicMock, call
 import pytest
 
 from m100link import Aircraft, Credentials, Guards, NotObserved, supervise
-from m100link.aircraft import connecting, supervising
+from m100link.aircraft import activation, connecting, replaying, supervising
 from m100link.aircraft.connecting import connect
 from m100link.aircraft.payload import AircraftGimbal, _not_shown, angles_command, rates_command
 from m100link.aircraft.rates import set_telemetry_rates
@@ -362,3 +363,78 @@ async def test_a_rate_is_seen_within_a_third_and_one_package(
     [asked] = requests.execute.mock_calls
     assert asked.args[0].rates_hz == {"position": rate}
     assert asked.kwargs == {"timeout": 0.3, "tries": 3}
+
+
+# -- recordings, and an activation in its attempts -------------------------------------------------
+
+
+async def test_a_recording_is_read_as_its_program_says(monkeypatch: pytest.MonkeyPatch) -> None:
+    opened, tap = AsyncMock(), MagicMock()
+    monkeypatch.setattr(replaying, "open_replay", opened)
+    async with connect("replay://a.mcap", firmware="3.1", acceleration="raw", tap=tap):
+        pass
+    told = {"firmware": FIRMWARE_3_1, "tap": tap, "acceleration": AccelerationMode.RAW}
+    assert opened.await_args == call("replay://a.mcap", **told)
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        ("", (1.0, 0.0, math.inf)),
+        ("?speed=max&to=9&from=1.5", (math.inf, 1.5, 9.0)),
+        ("?speed=0.5&from=0", (0.5, 0.0, math.inf)),
+        *((f"?{option}", None) for option in ("from=inf", "to=inf", "from=-1", "from=nan")),
+        *((f"?{option}", None) for option in ("from=3&to=3", "speed=0", "speed=inf", "till=3")),
+    ],
+)
+def test_a_part_of_a_recording_is_named_in_seconds(
+    options: str, told: tuple[float, ...] | None
+) -> None:
+    if told is None:
+        with pytest.raises(BadURL):
+            replaying.parse_replay(f"replay://a.mcap{options}")
+    else:
+        assert replaying.parse_replay(f"replay://a.mcap{options}")[1:] == told
+
+
+async def test_a_recording_of_no_known_firmware_is_asked_for_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    flight = MagicMock()
+    flight.nameless.return_value = BadURL("which firmware?", remedy="say so")
+    monkeypatch.setattr(replaying, "read", MagicMock(return_value=flight))
+    begin = MagicMock(firmware=None, duration_s=9.0)
+    monkeypatch.setattr(replaying, "begin_of", AsyncMock(return_value=begin))
+    with pytest.raises(BadURL, match="which firmware"):
+        await replaying.open_replay("replay://a.mcap")
+
+
+async def test_an_aircraft_that_is_not_found_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = aircraft()
+    made.aclose = AsyncMock()
+    made._requests.find_aircraft.side_effect = AckTimeout("nobody answers")
+    monkeypatch.setattr(connecting, "Aircraft", MagicMock(return_value=made))
+    with pytest.raises(AckTimeout):
+        await connect(MagicMock(spec=Link))
+    made.aclose.assert_awaited_once_with()
+
+
+@pytest.mark.parametrize(
+    ("timeout", "attempts"),
+    [
+        (9.0, [(1, 3, 2.0, 9.0), (2, 3, 2.0, 7.0), (3, 0, None, 5.0)]),
+        (3.0, [(1, 3, 2.0, 3.0), (2, 3, 1.0, 1.0), (3, 0, None, 0.0)]),
+    ],
+)
+async def test_an_activation_is_tried_again_every_two_seconds(
+    timeout: float, attempts: list[tuple[int, int, float | None, float]]
+) -> None:
+    """Code 3: a new device; 0: success."""
+    requests, link = aircraft()._requests, MagicMock()
+    told: list[activation.ActivationProgress] = []
+    requests.firmware, requests.query_version = FIRMWARE_3_1, AsyncMock()
+    requests.execute.side_effect = [ActivationCode(one[1]) for one in attempts]
+    await activation.activate(
+        requests, link, Credentials(7, "ab" * 32), timeout=timeout, progress=told.append
+    )
+    assert [(one.attempt, one.code, one.next_attempt_in, one.remaining) for one in told] == attempts
