@@ -35,7 +35,7 @@ async def console() -> None:
     """A page that has just flown a leg."""
     async with async_playwright() as started:
         browser = await started.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
-        async with console_in_browser(browser) as one:
+        async with console_in_browser(browser, "--firmware", "3.1") as one:
             page = await airborne(one)
             await page.click("#pad")
             await page.keyboard.down("w")
@@ -85,7 +85,7 @@ async def manual() -> None:
     """An aircraft in the air, seen at every size, for the manual's page."""
     async with async_playwright() as started:
         browser = await started.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
-        async with console_in_browser(browser) as one:
+        async with console_in_browser(browser, "--firmware", "3.1") as one:
             page = await airborne(one)
             for name, (width, height) in SIZES.items():
                 await page.set_viewport_size({"width": width, "height": height})
