@@ -15,7 +15,7 @@ from tests.browser.conftest import Console, console_in_browser, context_of
 from tests.browser.operator import (
     airborne,
     fold,
-    hold_until,
+    hold,
     in_control,
     look_around,
     look_at,
@@ -136,11 +136,12 @@ async def _fly_there(page: Any, walk: Walk) -> None:
     await in_control(page)  # a busy machine may have taken it from a page that it did not hear
     await page.fill("#click-bearing", "180")
     await page.wait_for_selector("[data-act=guide]:visible")
-    await hold_until(page, "guide", lambda: page.is_visible("#guided-flying"))
+    flying = page.locator("#guided-flying:visible").is_visible
+    await press_until(page, "guide", flying, hold, mend=lambda: in_control(page))
     await walk.see("it flies around a point")
     await walk.share_of_map("it flies around a point", 60.0)
     landing = page.locator("#task", has_text="landing")
-    await hold_until(page, "land", landing.is_visible)
+    await press_until(page, "land", landing.is_visible, hold, mend=lambda: in_control(page))
     assert await page.inner_text("#problem") == ""  # the circle ended as it was wished
     await walk.see("it lands")
 
