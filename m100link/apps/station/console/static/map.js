@@ -233,7 +233,7 @@ export class FlightMap {
   }
 }
 
-const OVER_MAP = ".place.steering, .place.hud > *, .place.prepared > *, [data-view=plan] > *";
+const OVER_MAP = ".place.steering, .place.hud > *, .place.prepared > *, section[data-view=plan] > *";
 let free = {key: "", box: null};
 
 // The most room that nothing covers: as wide and high as can be, and looked for only when something
