@@ -10,7 +10,7 @@ import pytest
 
 from tests.browser.boxes import faults
 from tests.browser.conftest import Console, console_in_browser, context_of, until
-from tests.browser.operator import GAMEPAD, airborne, is_still, steer
+from tests.browser.operator import GAMEPAD, airborne, fold, is_still, steer
 
 pytestmark = [pytest.mark.anyio]
 
@@ -74,6 +74,7 @@ async def fingers(browser: Any) -> AsyncIterator[tuple[Console, Fingers]]:
         page = await airborne(console)
         console.context = desk
         hand = Fingers(page, await phone.new_cdp_session(page))
+        await fold(page, "sticks", is_shown=True)
         for _ in range(4):
             await page.tap("[data-steer=faster]")
 
