@@ -521,7 +521,8 @@ async def replay(
     """Replay flights in the console: pause, seek, change the speed.
 
     Nothing flies: the page says REPLAY and gives no control. Two files are two aircraft of one
-    station, each with its own page.
+    station, each with its own page. rosbridge serves them only with --port, --also-port, --pages or
+    --metrics.
 
     Args:
         file: Flight logs of `m100link record`, `serve`, `console`, `demo` or connect(record=…).
@@ -538,9 +539,19 @@ async def replay(
         names = _names(file)
         words = [f"{name}={url}" for name, url in zip(names, urls, strict=True)]
     aircraft = aircraft_of(options, words, page=page, launch=options.launch, no_record=True)
+    asked = next(iter(aircraft.values())).origins
     return await run_station(
-        aircraft, options.run, with_console=True, open_browser=page.open_browser, keys=_keys
+        aircraft,
+        options.run,
+        with_console=True,
+        with_rosbridge=any(asked.get(name) == "command line" for name in _OF_ROSBRIDGE),
+        open_browser=page.open_browser,
+        keys=_keys,
     )
+
+
+_OF_ROSBRIDGE = ("port", "also_ports", "pages", "metrics_port")
+"""Options by which somebody asks for rosbridge. A port in a file of settings is for flights."""
 
 
 def _names(files: tuple[Path, ...]) -> list[str]:

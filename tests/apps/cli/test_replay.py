@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from m100link.apps.agent.orders import OrderReplay
+from m100link.apps.cli import serve
 from m100link.apps.cli.serve import KEYS, _names, _order
 from m100link.errors import UsageError
 from tests.apps.cli.conftest import CommandLine
@@ -41,6 +43,36 @@ def test_a_recorded_flight_is_not_shown_beside_an_aircraft_that_flies(
     outcome = cli("serve", url, "sim://", "--port", "0")
     assert outcome.status == 2
     assert "beside aircraft that fly" in outcome.err.replace("\n", " ")
+
+
+@pytest.mark.parametrize(
+    ("options", "is_asked_for"),
+    [
+        ((), False),
+        (("--console-port", "0", "--foxglove", "0"), False),
+        (("--port", "0"), True),
+        (("--also-port", "0"), True),
+        (("--pages", "."), True),
+        (("--metrics", "0"), True),
+    ],
+)
+def test_rosbridge_opens_only_for_an_option_of_the_command(
+    cli: CommandLine,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    options: tuple[str, ...],
+    is_asked_for: bool,
+) -> None:
+    served: list[dict[str, Any]] = []
+
+    async def run_station(*_: object, **how: Any) -> int:
+        served.append(how)
+        return 0
+
+    monkeypatch.setattr(serve, "run_station", run_station)
+    monkeypatch.setenv("M100LINK_PORT", "9091")  # for flights
+    assert cli("replay", str(tmp_path / "flight.mcap"), *options).status == 0
+    assert [how["with_rosbridge"] for how in served] == [is_asked_for]
 
 
 @pytest.mark.anyio
