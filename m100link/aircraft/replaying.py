@@ -114,7 +114,7 @@ async def open_replay(
             decode=link.decode,
             deliver=link.deliver,
             tell=lambda event: _tell(aircraft.authority, event),
-            forget=lambda: _forget(aircraft.authority),
+            forget=lambda: _forget(aircraft),
             end=link.end,
             has_consumers=lambda: telemetry.hub.has_consumers,
             room=lambda: telemetry.hub.room,
@@ -124,7 +124,9 @@ async def open_replay(
     return aircraft
 
 
-def _forget(authority: Authority) -> None:
+def _forget(aircraft: Aircraft) -> None:
+    authority = aircraft.authority
+    aircraft._telemetry.forget()
     if authority.state is not AuthorityState.NONE:
         authority.feed(_I.RELEASE)
         authority.feed(_I.RELEASED)

@@ -26,7 +26,9 @@ SLOWEST, FASTEST = 0.1, 100.0
 RUN_UP_S = 2.5
 """Messages from so long before the beginning come at once: items of 1 Hz are known then."""
 
-_BATCH = 256  # frames until the event loop has its turn
+_BATCH = 50  # frames until the event loop has its turn; consumers may keep no more
+_APART_S = 0.001  # between what came before a seek and its run-up
+_LATE_S = 0.25  # later than this, nothing is caught up: the computer was busy, not the flight
 _EAGER = 20  # turns of the event loop in which a consumer may take what it got, before pauses
 _LONGEST_PAUSE_S = 0.02
 _BEGIN_WITHIN_S = 1.0  # at any speed, without anybody who takes telemetry
@@ -141,7 +143,8 @@ class Player:
     """Plays one recording, once.
 
     Its clock is that of the recorded flight, moved so that it stood where the event loop's stands
-    when playing begins: at speed 1 they are the same, at others ages are as old as they were then.
+    when playing begins. It never passes a moment of the recording that was not delivered. So ages
+    are as old as they were then, at any speed and however late the event loop is.
 
     Args:
         flight: The recording.
@@ -189,6 +192,7 @@ class Player:
         self._since, self._until, self._broken = -math.inf, math.inf, ""
         self._waits = 0  # for room, since there was some
         self._begins_by = 0.0
+        self.run_began_at = self.time()  #: what came before this time is void, s by :meth:`time`
 
     # -- time --------------------------------------------------------------------------------------
 
@@ -200,7 +204,7 @@ class Player:
     @property
     def position_s(self) -> float:
         """Seconds of the recording that were played, or passed over."""
-        return min(max(0.0, self._then() - self.begin.at), self._to)
+        return min(max(self._from, self._then() - self.begin.at), self._to)
 
     def time(self) -> float:
         """The clock of the recorded flight, moved to where the event loop's stood."""
@@ -208,10 +212,17 @@ class Player:
 
     def _then(self) -> float:
         then, since = self._here
-        if self.is_paused or self.is_at_end or math.isinf(self.speed):
+        if self.is_at_end:
             return then
-        then += (self._loop.time() - since) * self.speed
-        return min(then, self.begin.at + self._to)
+        if not self.is_paused and math.isfinite(self.speed):
+            then += (self._loop.time() - since) * self.speed
+        return min(then, self._due())
+
+    def _due(self) -> float:
+        """The recorded time of what comes next; that of the end when nothing does."""
+        if self._frames:
+            return self._frames[0][1] - self._shift
+        return self.begin.at + self._to if self._next is None else self._next.at
 
     def _set_clock(self, then: float) -> None:
         self._here = then, self._loop.time()
@@ -262,14 +273,15 @@ class Player:
         self._schedule()
 
     def seek(self, to_s: float) -> None:
-        """Go on from another place; its clock goes on where it stood.
+        """Go on from another place; the run-up to it begins where its clock stood.
 
         Args:
             to_s: Seconds from its first byte; what is beyond either end is that end.
         """
-        now = self.time()
+        self.run_began_at = self.time() + _APART_S
         self._from = min(max(0.0, to_s), self._to)
-        self._shift = now - (self.begin.at + self._from)
+        # No package of the run-up is older than one of before: their times tell them apart.
+        self._shift = self.run_began_at + RUN_UP_S - (self.begin.at + self._from)
         self._set_clock(self.begin.at + self._from)
         self._frames.clear()
         self.is_at_end = False
@@ -311,13 +323,16 @@ class Player:
         elif self._frames or math.isinf(self.speed):
             self._timer = self._loop.call_soon(self._go)
         else:
-            due = self._next.at if self._next is not None else self.begin.at + self._to
             then, since = self._here
-            self._timer = self._loop.call_at(since + (due - then) / self.speed, self._go)
+            self._timer = self._loop.call_at(since + (self._due() - then) / self.speed, self._go)
 
     def _go(self) -> None:
         self._timer = None
         pause: float | None = None
+        then, since = self._here
+        due = max(then, self._due())
+        if self._loop.time() - since > (due - then) / self.speed + _LATE_S and not self.is_paused:
+            self._set_clock(due)
         try:
             pause = self._play_some()
         finally:  # whatever a callback raised: the recording goes on

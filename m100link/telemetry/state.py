@@ -155,6 +155,10 @@ class AircraftState(RecordViews):
 
     def __init__(self, clock: Callable[[], float]) -> None:
         self._clock = clock
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin anew, as if nothing had ever arrived."""
         whole = _Cell(sum(1 << item.bit for item in ITEMS))
         self._cells: dict[type[Any], _Cell] = dict.fromkeys(BY_RECORD, whole)
         self._cells_of: dict[int, tuple[_Cell, ...]] = {}  # by flag word; few ever occur

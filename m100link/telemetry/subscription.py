@@ -365,6 +365,11 @@ class TelemetryStream:
         self._clock = DeviceClock(FIRMWARE_1_0.tick_hz)  # by which packages arrive, s
         self._ticks: dict[int, _Place | None] = {}  # where such packages have their tick, by flags
 
+    def forget(self) -> None:
+        """What arrived is void: a recording goes on from another place."""
+        self.state.forget()
+        self._clock = DeviceClock(self._clock.tick_hz)
+
     def clock_of(self, firmware: FirmwareProfile) -> DeviceClock:
         """The clock of the aircraft; a firmware with another tick rate begins a new one."""
         if firmware is not self._firmware:

@@ -90,11 +90,11 @@ class VehicleView:
     def __post_init__(self) -> None:
         say, state = partial(object.__setattr__, self), self.state
         replay, telemetry = state.replay, self.telemetry
-        now = self.at if replay is None else replay.time(self.at - state.at)
         # A time that is none, and one that is to come, is no word of anybody.
         is_there = not self.is_gone and abs(self.at - self.heard_at) <= MAX_SILENCE
         is_connected = is_there and state.connection == "connected"
         newest_at = None if telemetry is None else telemetry.newest_at
+        now = self.at if replay is None else replay.time(newest_at)
         say("now", now)
         heard = Hearing.HEARD if is_there else Hearing.SILENT
         say("hearing", Hearing.GONE if self.is_gone else heard)
@@ -387,10 +387,11 @@ class AgentClient:
             self._closed(reason)
 
     def _on_state(self, state: messages.State) -> None:
-        self.state = state
+        before, self.state = self.state.replay, state
+        is_moved = state.replay is not None and state.replay.since != (before and before.since)
         if state.connection != "connected":
             self.telemetry = self.link = None
-        elif self.telemetry is None:
+        elif self.telemetry is None or is_moved:
             self.telemetry = AircraftState(lambda: self.view.now)
 
     def _on_telemetry(self, message: messages.Telemetry) -> None:
@@ -401,6 +402,8 @@ class AgentClient:
         if sample is None or self.telemetry is None:
             self.unread += 1
             return
+        if self.state.replay is not None and sample.received_at < self.state.replay.since:
+            return  # of another place of the recording
         self.telemetry.update(sample)
         call_each(self.on_sample, sample)
         self._samples.publish(sample, self.now)

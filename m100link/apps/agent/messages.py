@@ -37,7 +37,7 @@ JOURNAL_LOG = __name__
 
 _logger = logging.getLogger(JOURNAL_LOG)
 
-VERSION = 14
+VERSION = 15
 """Of these messages. Both ends name theirs in :class:`Hello` and part when they differ."""
 
 LEVELS = ("info", "warning", "error")
@@ -296,10 +296,11 @@ class Stage(Enum):
 class Replay:
     """Where the replay of a recorded flight is."""
 
-    name: str  #: of the file
+    path: str  #: of the file, on the agent's computer
     utc: float  #: POSIX time of the flight that it shows, s
     clock: float  #: by which its telemetry is received, s
-    rate: float  #: seconds by which that clock goes on in a second; 0 while it stands
+    since: float  #: telemetry of an earlier time is void: it was moved since, s by that clock
+    newest_at: float | None  #: when the newest package that was played was received, s
     position_s: float  #: seconds that were played
     duration_s: float  #: of the whole
     speed: float  #: times as fast as it was flown; 0 for as fast as it can be
@@ -307,9 +308,16 @@ class Replay:
     is_at_end: bool  #: whether everything was played
     is_cut_off: bool  #: whether the file was not ended
 
-    def time(self, since: float) -> float:
-        """Its clock so many seconds after this was sent, s."""
-        return self.clock + since * self.rate
+    def time(self, newest_at: float | None) -> float:
+        """Its clock for a front whose newest package is of that time, s.
+
+        It never goes on by the front's own clock, and not while played packages are on their way:
+        nothing grows old because a computer is busy.
+        """
+        if newest_at is None:
+            return self.clock
+        is_whole = self.newest_at is None or newest_at >= self.newest_at
+        return max(self.clock, newest_at) if is_whole else newest_at
 
 
 # -- events, for people ----------------------------------------------------------------------------

@@ -30,6 +30,7 @@ class Replays:
         self._url = parse_replay(url)
         self._firmware = None if firmware is None else profile(firmware)
         self._note = note
+        self._aircraft: Aircraft | None = None
         self._player: Player | None = None
 
     async def look(self) -> None:
@@ -49,7 +50,7 @@ class Replays:
         """
         aircraft = await open_replay(self._url, firmware=self._firmware, holds=True)
         assert isinstance(aircraft.link, ReplayedLink)  # of a replay it is one
-        self._player = aircraft.link.player
+        self._player, self._aircraft = aircraft.link.player, aircraft
         return aircraft
 
     async def watch(self, aircraft: Aircraft) -> None:
@@ -65,14 +66,14 @@ class Replays:
     def progress(self) -> Replay | None:
         """Where it is; None before it plays."""
         player = self._player
-        if player is None:
+        if player is None or self._aircraft is None:
             return None
-        is_running = not (player.is_paused or player.is_at_end)
         return Replay(
-            name=self._url.path.name,
+            path=str(self._url.path.absolute()),
             utc=player.time() + player.utc_offset_s,
             clock=player.time(),
-            rate=player.speed if is_running and math.isfinite(player.speed) else 0.0,
+            since=player.run_began_at,
+            newest_at=self._aircraft.state.newest_at,
             position_s=player.position_s,
             duration_s=player.begin.duration_s,
             speed=player.speed if math.isfinite(player.speed) else 0.0,

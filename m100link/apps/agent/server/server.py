@@ -161,7 +161,7 @@ class AgentServer:
 
     def _replay_changed(self, its: messages.Replay | None) -> object:
         """The settings of a replay that people change; its place changes by itself."""
-        return its and (its.rate, its.is_paused, its.clock - its.position_s)
+        return its and (its.speed, its.is_paused, its.is_at_end, its.since)
 
     def _state(self) -> messages.State:
         """The state as :meth:`_tell_state` saw it last, with what changes all the time."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import random
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -20,7 +21,7 @@ from m100link.apps.agent.server.replays import Replays
 from m100link.apps.agent.server.server import STATE_INTERVAL, AgentServer
 from m100link.apps.agent.transports import memory_channels
 from m100link.errors import M100Error, OnlyRecorded, UsageError
-from m100link.log import recorder
+from m100link.log import read, recorder
 from m100link.sim import VirtualClockEventLoop
 from tests.log.flight import fly
 
@@ -98,7 +99,35 @@ async def test_ages_are_those_of_then_at_any_speed_and_stand_still_with_it(
         told = client.state.replay
         assert told is not None
         assert told.is_paused
-        assert told.rate == 0.0
+
+
+_MORE = [pytest.param(seed, marks=pytest.mark.slow) for seed in range(1, 20)]
+
+
+@pytest.mark.parametrize("seed", [0, *_MORE])
+async def test_a_busy_computer_makes_nothing_old_and_a_seek_mixes_no_places(
+    path: Path, seed: int
+) -> None:
+    """Stalls of up to 5 s, seeks, pauses and speeds drawn by seed: all values are the file's."""
+    chance = random.Random(seed)
+    recorded = {(one.position, one.velocity) for one in read(path).samples() if one.position}
+    loop = asyncio.get_running_loop()
+    assert isinstance(loop, VirtualClockEventLoop)
+    async with station(f"replay://{path}") as (_, client):
+        for number in range(50):
+            order = chance.choice(["seek {:.2f}", "speed {:.1f}", "pause", "resume", "resume"])
+            bound = 50.0 if "speed" in order else 16.0
+            await client.ask(orders.OrderReplay(order.format(chance.uniform(0.1, bound))))
+            for _ in range(chance.randrange(1, 6)):
+                await asyncio.sleep(chance.choice([0.0, 0.0, 0.01, 0.3]))
+                view = client.view
+                seen = seed, number, order, view.now, view.telemetry_at, view.state.replay
+                if view.telemetry_at is not None:
+                    assert 0.0 <= view.now - view.telemetry_at < 0.1, seen
+                if view.telemetry is not None and (position := view.telemetry.position):
+                    assert (position, view.telemetry.velocity) in recorded, seen
+                if chance.random() < 0.3:  # something else holds up the whole process
+                    loop._jumping.now += chance.uniform(0.0, 5.0)
 
 
 async def test_it_is_moved_stands_at_its_end_and_goes_on(path: Path) -> None:
@@ -117,7 +146,7 @@ async def test_it_is_moved_stands_at_its_end_and_goes_on(path: Path) -> None:
         told = client.state.replay
         assert told is not None
         assert told.is_at_end
-        assert told.name == "flight.mcap"
+        assert told.path == str(path)
         assert client.is_connected, "it stands still at its end"
         await client.ask(orders.OrderReplay("speed 1"))
         await client.ask(orders.OrderReplay("resume"))

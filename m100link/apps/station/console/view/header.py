@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import Enum
+from pathlib import PurePath
 
 from m100link.apps.agent.client import Hearing
 from m100link.apps.agent.messages import Replay
@@ -232,7 +233,7 @@ def replay_of(source: Replay | None) -> ReplayView | None:
     if source.is_at_end and source.is_cut_off:
         note = tr("replay.cut_off")
     return ReplayView(
-        title=tr("replay.title", name=source.name),
+        title=tr("replay.title", name=PurePath(source.path).name),
         place=tr(
             "replay.at",
             position=_clock(source.position_s),
