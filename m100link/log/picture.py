@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 from m100link.errors import UsageError
 from m100link.geodesy import MapView, svg_dot, svg_line, svg_text
-from m100link.log.story import Curve, FlightSummary, Span
+from m100link.log.story import Curve, FlightSummary, Place, Span
 
 # -- what is drawn of a flight, whether as a picture or as a page: panels, their curves, colour ----
 
@@ -258,8 +258,8 @@ def _apart(first: FlightSummary, second: FlightSummary) -> Iterator[Apart]:
         yield Apart(after, math.hypot(a[1] - b[1], a[2] - b[2]))
 
 
-def _place_at(places: list[tuple[float, float, float]], at_s: float) -> tuple[float, float, float]:
-    return places[max(0, bisect_right(places, at_s, key=lambda place: place[0]) - 1)]
+def _place_at(places: list[Place], at_s: float) -> Place:
+    return places[max(0, bisect_right(places, at_s, key=lambda place: place.at_s) - 1)]
 
 
 def _changes(first: list[str], second: list[str]) -> list[str]:
@@ -372,7 +372,7 @@ def _draw_track(story: FlightSummary, axes: Any) -> None:
     axes.set_ylabel("north", fontsize=8)
     axes.tick_params(labelsize=8)
     axes.grid(alpha=0.3)
-    places = story.track.places()
+    places = [place[:3] for place in story.track.places()]
     if not places:
         axes.text(0.5, 0.5, "no position that can be trusted", ha="center",
                   transform=axes.transAxes, color="#667")  # fmt: skip
@@ -595,7 +595,7 @@ def _times(duration: float) -> str:
 
 def _track(story: FlightSummary) -> tuple[str, list[tuple[float, float, float]]]:
     """The drawing, and time and place in it of each point."""
-    places = story.track.places()
+    places = [place[:3] for place in story.track.places()]
     if not places:
         return _NOWHERE, []
     home = 0.0, 0.0

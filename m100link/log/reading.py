@@ -46,6 +46,7 @@ _APART_S = 1.0  # at most between the two directions of one time in a file
 _MOST_PLAUSIBLE = 10**9  # µs after a message, or bytes in it: far more than a recorder writes
 
 _AT = itemgetter(1)
+_OF_WRITES = b'{"direction":"tx"'
 
 
 class Message(NamedTuple):
@@ -198,9 +199,7 @@ class FlightLog:
             if message.topic != CHUNKS:
                 raw_by_time[message.topic, message.at] = message
                 continue
-            content = message.content()
-            if not _tells_chunks(content):
-                raise _foreign(message.topic)
+            content = _chunks(message)
             direction = Direction(content["direction"])
             topic = RX if direction is Direction.RECEIVED else TX
             raw = raw_by_time.pop((topic, message.at), None)
@@ -238,8 +237,9 @@ class FlightLog:
             if content["acceleration"] in tuple(AccelerationMode):
                 return AccelerationMode(content["acceleration"])
         reader = AccelerationReader()
-        for value, at in self._packages():
-            reader.read(value, firmware, at)
+        for one in self._heard(()):
+            if not isinstance(one, Message):
+                reader.read(one[0], firmware, one[1])
             if reader.mode is not None:
                 break
         return reader.mode
@@ -264,24 +264,51 @@ class FlightLog:
         chosen = self.firmware if firmware is None else profile(firmware)
         if chosen is None:
             raise self.nameless("samples(firmware='1.0')")
-        acceleration = AccelerationReader()
-        acceleration.fix(self.acceleration_by(chosen))
-        for value, at in self._packages():
-            if not acceleration.is_idle:
-                value = acceleration.read(value, chosen, at)
-            try:
-                yield Sample(value, chosen, at)
-            except LayoutMismatch:
-                continue  # as in flight: counted by the link, read by nobody
+        return (one for one in self.heard(firmware=chosen) if isinstance(one, Sample))
 
-    def _packages(self) -> Iterator[tuple[bytes, float]]:
-        """The values of telemetry packages, and when they arrived."""
+    def heard(self, *topics: str, firmware: FirmwareProfile | None) -> Iterator[Message | Sample]:
+        """Telemetry packages, and the messages of some topics, while the file is read once.
+
+        Packages are in order of time, and messages, too; a message may stand a second beside the
+        packages of its time. ``firmware``: profile to read packages by; None: none is read.
+        """
+        acceleration = AccelerationReader()
+        if firmware is not None:
+            acceleration.fix(self.acceleration_by(firmware))
+        for one in self._heard(topics):
+            if isinstance(one, Message):
+                yield one
+            elif firmware is not None:
+                value, at = one
+                if not acceleration.is_idle:
+                    value = acceleration.read(value, firmware, at)
+                try:
+                    yield Sample(value, firmware, at)
+                except LayoutMismatch:
+                    continue  # as in flight: counted by the link, read by nobody
+
+    def _heard(self, topics: Sequence[str]) -> Iterator[Message | tuple[bytes, float]]:
+        """The same with the values of packages, and when they arrived."""
         decoder = FrameDecoder()
-        for chunk in self.chunks():
-            if chunk.direction is Direction.RECEIVED:
-                for frame in decoder.feed(chunk.data):
-                    if is_telemetry(frame):
-                        yield frame.data[2:], chunk.at
+        received: dict[float, Message] = {}
+        for message in self._messages((RX, CHUNKS, *topics)):
+            if message.topic == RX:
+                received[message.at] = message
+            elif message.topic != CHUNKS:
+                yield message
+            elif message.data.startswith(_OF_WRITES):
+                continue
+            elif (content := _chunks(message))["direction"] == "rx":
+                raw = received.pop(message.at, None)
+                if raw is None:  # it stood in a part of the file that is damaged
+                    continue
+                begin = 0
+                for offset_us, length in zip(content["offset_us"], content["length"], strict=True):
+                    at, end = raw.at + offset_us / 1e6, begin + length
+                    for frame in decoder.feed(raw.data[begin:end]):
+                        if is_telemetry(frame):
+                            yield frame.data[2:], at
+                    begin = end
 
     def rows(
         self, *records: type[Any], firmware: str | FirmwareProfile | None = None
@@ -405,15 +432,21 @@ def _foreign(topic: str) -> UsageError:
     )
 
 
-def _tells_chunks(content: dict[str, Any]) -> bool:
+def _chunks(message: Message) -> dict[str, Any]:
+    """How raw bytes were read or written. Raises ``UsageError``: it does not tell."""
+    content = message.content()
     offsets, lengths = content.get("offset_us"), content.get("length")
-    return (
+    if not (
         content.get("direction") in ("rx", "tx")
         and isinstance(offsets, list)
         and isinstance(lengths, list)
         and len(offsets) == len(lengths)
-        and all(type(one) is int and 0 <= one <= _MOST_PLAUSIBLE for one in (*offsets, *lengths))
-    )
+        and set(map(type, (*offsets, *lengths))) <= {int}
+        and min((*offsets, *lengths), default=0) >= 0
+        and max((*offsets, *lengths), default=0) <= _MOST_PLAUSIBLE
+    ):
+        raise _foreign(message.topic)
+    return content
 
 
 def _pieces(

@@ -59,6 +59,25 @@ async def test_the_story_is_that_of_the_flight(tmp_path: Path) -> None:
     assert story.packages >= len(seen)
 
 
+async def test_a_quick_look_finds_the_same_within_its_interval(tmp_path: Path) -> None:
+    await fly(tmp_path / "flight.mcap")
+    flight = read(tmp_path / "flight.mcap")
+    heard: list[float] = []
+    whole = read_story(flight)
+    quick = read_story(flight, interval_s=0.1, listener=lambda at, _: heard.append(at))
+    assert [one.name for one in quick.phases] == [one.name for one in whole.phases]
+    begins = [one.begin_s for one in quick.phases]
+    assert begins == pytest.approx([one.begin_s for one in whole.phases], abs=0.1)
+    assert (quick.packages, quick.commands, quick.streams, quick.control[-1]) == (
+        *(whole.packages, whole.commands, whole.streams),
+        whole.control[-1],
+    )
+    assert quick.maxima.height_m == pytest.approx(whole.maxima.height_m, abs=0.02)
+    assert quick.maxima.silence_s == whole.maxima.silence_s
+    assert len(heard) < whole.packages / 4
+    assert [one.name for one in quick.alarms] == [one.name for one in whole.alarms]
+
+
 ALARMS = {
     "battery_low": (["battery 24"], "battery 24 %"),
     "battery_critical": (["battery 9"], "battery 9 %"),
@@ -89,6 +108,8 @@ async def test_each_alarm_is_reported_with_its_cause(
                     perform(aircraft, order)
                     await asyncio.sleep(3.0)
     story = read_story(read(path))
+    quick = read_story(read(path), interval_s=0.1)
+    assert [one.name for one in quick.alarms] == [one.name for one in story.alarms]
     found = [alarm for alarm in story.alarms if alarm.name == name]
     assert found, story.alarms
     assert text in found[0].text
