@@ -128,7 +128,7 @@ class AgentServer:
             counted = aircraft.statistics()
             counters = asdict(counted)
             discards = counters.pop("discards")
-            del counters["round_trips"]
+            del counters["round_trips"], counters["round_trip_s"]  # no number before an answer
             trips = counted.round_trips
             classes = dict(zip(_BOUNDS, trips.counts, strict=True))
             self._tell(

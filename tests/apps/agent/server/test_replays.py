@@ -47,7 +47,7 @@ async def station(url: str) -> AsyncIterator[tuple[Agent, AgentClient]]:
     replays = Replays(url, None, lambda text: agent.journal.note(text))
     async with (agent := Agent(replays.connect, replay=replays)):
         service = AgentServer(agent)
-        ours, its = memory_channels()
+        ours, its = memory_channels(as_bytes=True)
         service.attach(its)
         async with AgentClient(ours, "front") as client:
             await asyncio.sleep(0.3)
