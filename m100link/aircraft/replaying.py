@@ -14,7 +14,15 @@ from m100link.errors.texts import read_path
 from m100link.flight.authority import TRANSITIONS, Authority, AuthorityInput, AuthorityState
 from m100link.link import Tap
 from m100link.link.statistics import TapListener
-from m100link.log.player import FASTEST, SLOWEST, PlaybackTarget, Player, ReplayedLink, begin_of
+from m100link.log.player import (
+    FASTEST,
+    SLOWEST,
+    Begin,
+    PlaybackTarget,
+    Player,
+    ReplayedLink,
+    begin_of,
+)
 from m100link.log.reading import read
 from m100link.protocol.firmware import FirmwareProfile
 from m100link.protocol.records import AccelerationMode
@@ -86,12 +94,13 @@ async def open_replay(
     tap: Tap | None = None,  # hears the bytes of both directions
     holds: bool = False,  # stand still at the end, instead of ending with :class:`ReplayEnded`
     acceleration: AccelerationMode | None = None,  # by default as the recording shows
+    begin: Begin | None = None,  # the facts of the recording, if they were read before
 ) -> Aircraft:
     """The aircraft of a recording, played from the next turn of the event loop on."""
     wanted = parse_replay(url) if isinstance(url, str) else url
     flight = read(wanted.path, acceleration=acceleration)
     is_moved = holds or wanted.from_s > 0.0
-    begin = await begin_of(flight, is_moved=is_moved, firmware=firmware)
+    begin = begin or await begin_of(flight, is_moved=is_moved, firmware=firmware)
     if wanted.from_s > begin.duration_s:
         raise UsageError(
             f"{flight.path} is {begin.duration_s:.1f} s long and cannot be played from "

@@ -85,6 +85,8 @@ async def begin_of(
 
 
 def _begin_of(flight: FlightLog, is_moved: bool, firmware: FirmwareProfile | None) -> Begin:
+    # Before the damage, which is then known: a large file is read through once.
+    events = tuple(flight.messages(EVENT)) if is_moved else ()
     damage = flight.damage
     first: Chunk | None = None
     version: Version | None = None
@@ -111,7 +113,6 @@ def _begin_of(flight: FlightLog, is_moved: bool, firmware: FirmwareProfile | Non
             "m100link log info FILE says what it holds",
         )
     duration = max(0.0, (damage.ended_utc or 0.0) - first.utc)
-    events = tuple(flight.messages(EVENT)) if is_moved else ()
     known = flight.firmware
     chosen = firmware or known
     mode = None if chosen is None else flight.acceleration_by(chosen)

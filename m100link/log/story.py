@@ -169,7 +169,7 @@ class FlightPath:
         self.track = Track()
         self.homes: list[Home] = []
         self.frame: LocalFrame | None = None
-        self._is_off_ground = False
+        self._is_off_ground = self._has_flown = False
         self._last: tuple[float, float] | None = None  # latitude and longitude, degrees
 
     def hear_phase(self, at_s: float, *, is_off_ground: bool) -> None:
@@ -179,6 +179,12 @@ class FlightPath:
                 self.frame, self.track = LocalFrame(*self._last), Track()
             self.homes.append(Home(at_s, *self._last))
         self._is_off_ground = is_off_ground
+        self._has_flown |= is_off_ground
+
+    @property
+    def version(self) -> tuple[int, bool]:
+        """Another one when places that were told before are void."""
+        return self.track.thinned, bool(self.homes)
 
     def add(self, at_s: float, position: Position) -> tuple[float, float]:
         """It is there, by a position with a fix; returns metres north and east in the track."""
@@ -190,9 +196,14 @@ class FlightPath:
         return north, east
 
     def home(self, at_s: float) -> Home | None:
-        """The take-off before a time, or else the one after it; None when neither was seen."""
-        known = [home for home in self.homes if home.at_s <= at_s]
-        return known[-1] if known else self.homes[0] if self.homes else None
+        """The take-off before a time, or else the one after it; None when neither was seen.
+
+        Of an aircraft that never flew it is where it stands.
+        """
+        known = [home for home in self.homes if home.at_s <= at_s] or self.homes[:1]
+        if known or self._has_flown or self._last is None:
+            return known[-1] if known else None
+        return Home(at_s, *self._last)
 
     def points(self, since: int = 0) -> list[tuple[float, float, float, float, bool]]:
         """The track without its first so many places, for a map.
@@ -561,7 +572,7 @@ class _SampleReader:
         self._count(at)
         flags = sample.flags
         if at >= self._due_at:
-            self._due_at, self._flags = at + self._interval_s, 0
+            self._due_at, self._flags = at + 0.999 * self._interval_s, 0
         elif not flags & ~self._flags:
             return  # its items come once more
         self._flags |= flags

@@ -10,7 +10,7 @@ from m100link.aircraft.aircraft import AuthorityEvent
 from m100link.aircraft.replaying import open_replay, parse_replay
 from m100link.apps.agent.messages import Replay
 from m100link.errors import M100Error, OnlyRecorded, UsageError
-from m100link.log.player import FASTEST, SLOWEST, Player, ReplayedLink
+from m100link.log.player import FASTEST, SLOWEST, Begin, Player, ReplayedLink
 from m100link.protocol.firmware import profile
 
 
@@ -32,6 +32,7 @@ class Replays:
         self._note = note
         self._aircraft: Aircraft | None = None
         self._player: Player | None = None
+        self._begin: Begin | None = None  # once it was looked at
 
     async def look(self) -> None:
         """See whether it can be played, before anything is served.
@@ -39,7 +40,9 @@ class Replays:
         Raises:
             UsageError: It cannot.
         """
-        aircraft = await open_replay(self._url, firmware=self._firmware, holds=True)
+        aircraft = await self.connect()
+        assert self._player is not None
+        self._begin, self._player = self._player.begin, None
         await aircraft.aclose()
 
     async def connect(self) -> Aircraft:
@@ -48,7 +51,9 @@ class Replays:
         Raises:
             UsageError: The file cannot be played.
         """
-        aircraft = await open_replay(self._url, firmware=self._firmware, holds=True)
+        aircraft = await open_replay(
+            self._url, firmware=self._firmware, holds=True, begin=self._begin
+        )
         assert isinstance(aircraft.link, ReplayedLink)  # of a replay it is one
         self._player, self._aircraft = aircraft.link.player, aircraft
         return aircraft

@@ -95,7 +95,7 @@ def console_app(
             tab,
             orders.get(tab.aircraft),
             has_tiles=settings.tiles is not None,
-            history=history_of(tab.aircraft),
+            history_of=history_of,
             tabs=tabs,
         )
         await shell.build(key)

@@ -1,4 +1,4 @@
-"""Data that outlives a page: words before take-off, and the last minutes."""
+"""Data that outlives a page: words before take-off, what was flown, and recorded flights."""
 
 from __future__ import annotations
 
@@ -6,11 +6,14 @@ import asyncio
 import csv
 import io
 import math
+import pickle
 import secrets
+import sys
 import time
 from array import array
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from bisect import bisect_left, bisect_right
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from itertools import pairwise
 from operator import attrgetter
@@ -18,9 +21,17 @@ from typing import Any
 
 from m100link.apps.agent.client import AgentClient, Hearing, VehicleView
 from m100link.apps.station.console.view.fly import FREE_FOR_S
+from m100link.errors import M100Error
+from m100link.log.reading import Message, read
+from m100link.log.story import Curve, FlightPath, FlightSummary, read_story
+from m100link.protocol.commands.control import Move
+from m100link.protocol.firmware import FIRMWARE_1_0, PROFILES
 from m100link.protocol.items import ITEMS
-from m100link.protocol.records import FlightPhase
+from m100link.protocol.records import Attitude, FlightPhase, Position
+from m100link.protocol.setpoint import Horizontal, ReceivedMove, ReferenceFrame, Vertical, Yaw
 from m100link.telemetry.columns import columns_of
+from m100link.telemetry.integrity import has_fix
+from m100link.telemetry.sample import Sample
 from m100link.telemetry.state import AircraftState
 
 # -- what operators said of the place before take-off ----------------------------------------------
@@ -107,8 +118,20 @@ _READERS = [
 ]
 
 
+def _numbers(telemetry: AircraftState | None, now: float) -> Iterator[Any]:
+    """A value for each column of telemetry; None for what is old at that time, s."""
+    for record, readers in _READERS:
+        # Of what has a NaN the other numbers are drawn all the same.
+        found = None if telemetry is None else telemetry.fresh(record, now=now)
+        for read_one in readers:
+            yield None if found is None else read_one(found)
+
+
 class PlotHistory:
-    """Rows of numbers, the newest :data:`KEPT_S` seconds of them."""
+    """Rows of numbers, the newest :data:`KEPT_S` seconds of them, and where it flew.
+
+    Of a replay it has neither: :attr:`recorded` is one analysis of the file.
+    """
 
     def __init__(self) -> None:
         self._size = round(KEPT_S / INTERVAL)
@@ -117,9 +140,13 @@ class PlotHistory:
         self._columns = {name: array("d", [math.nan]) * self._size for name in COLUMNS}
         # Seconds that the event loop of this process was late, at worst in the last second.
         self.lag = 0.0
+        self.path = FlightPath()
+        self.recorded: Recorded | None = None  # of a replay, once its file was read
+        self.fault = ""  # why a file could not be read
+        self._file = ""
 
     async def keep(self, agent: AgentClient) -> None:
-        """Add a row ten times a second, until cancelled."""
+        """Add a row ten times a second, or read the file of a replay; until cancelled."""
         # The clock of the event loop stands still for nobody, and shows no date.
         to_utc = time.time() - agent.now
         lags: list[float] = []
@@ -130,7 +157,19 @@ class PlotHistory:
             if len(lags) >= 1.0 / INTERVAL:
                 self.lag = max(lags)
                 lags.clear()
-            self.add(agent.now + to_utc, agent.view)
+            replay = agent.state.replay
+            if replay is None:
+                self.add(agent.now + to_utc, agent.view)
+            elif replay.path != self._file:
+                self._file, self.recorded = replay.path, None
+                agent.background.spawn(self._read(replay.path, agent.state.firmware), "analysis")
+
+    async def _read(self, path: str, firmware: str) -> None:
+        found = await analysed(path, firmware)
+        if isinstance(found, str):
+            self.fault = found
+        else:
+            self.recorded = found
 
     def add(self, utc: float, view: VehicleView) -> None:
         """Add a row. ``utc``: seconds since 1970."""
@@ -139,14 +178,15 @@ class PlotHistory:
         for name, value in zip(COLUMNS, self._row(view), strict=True):
             self._columns[name][place] = math.nan if value is None else float(value)
         self.count += 1
+        is_on_ground, position = view.is_on_ground, view.get(Position)
+        if is_on_ground is not None:
+            self.path.hear_phase(utc, is_off_ground=not is_on_ground)
+        if position is not None and has_fix(position):
+            self.path.add(utc, position)
 
     def _row(self, view: VehicleView) -> Iterator[Any]:
         telemetry, state = view.telemetry, view.state
-        for record, readers in _READERS:
-            # Of what has a NaN the other numbers are drawn all the same.
-            found = telemetry.get(record) if telemetry and view.is_new(record) else None
-            for read in readers:
-                yield None if found is None else read(found)
+        yield from _numbers(telemetry if view.is_connected else None, view.now)
         if telemetry is None or view.hearing is Hearing.GONE:
             yield from [None] * (len(LINE_COLUMNS) - 1)
         else:
@@ -179,15 +219,189 @@ class PlotHistory:
 
         ``last_s``: only the newest seconds.
         """
-        text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(["utc", *names])
-        for utc, *values in self.rows(names, last_s=last_s, until=until):
-            stamp = datetime.fromtimestamp(utc, UTC).isoformat(timespec="milliseconds")
-            writer.writerow(
-                [
-                    stamp.replace("+00:00", "Z"),
-                    *(f"{v:.9g}" if math.isfinite(v) else "" for v in values),
-                ]
+        return as_csv(names, self.rows(names, last_s=last_s, until=until))
+
+
+def as_csv(names: Sequence[str], rows: Sequence[tuple[float, ...]]) -> str:
+    """Rows of POSIX time, s, and values as text, as :meth:`PlotHistory.csv`."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["utc", *names])
+    for utc, *values in rows:
+        stamp = datetime.fromtimestamp(utc, UTC).isoformat(timespec="milliseconds")
+        writer.writerow(
+            [
+                stamp.replace("+00:00", "Z"),
+                *(f"{v:.9g}" if math.isfinite(v) else "" for v in values),
+            ]
+        )
+    return text.getvalue()
+
+
+# -- a recorded flight: one analysis of its file, from which a replay shows all that lasts ---------
+# A process of its own reads the file, once: two hours take seconds, in which pages are built. What
+# the file says at the place of the replay is then looked up. No clock of this computer is in it.
+
+COMMANDED = {
+    "position.height_m": "commanded.height_m",
+    "velocity.north_m_s": "commanded.north_m_s",
+    "velocity.east_m_s": "commanded.east_m_s",
+    "velocity.up_m_s": "commanded.up_m_s",
+    "velocity.ground_speed_m_s": "commanded.ground_speed_m_s",
+    "quaternion.roll_deg": "commanded.roll_deg",
+    "quaternion.pitch_deg": "commanded.pitch_deg",
+    "quaternion.yaw_deg": "commanded.yaw_deg",
+    "angular_velocity.yaw_rate_deg_s": "commanded.yaw_rate_deg_s",
+}
+"""Numbers that setpoints command, by the numbers that follow them."""
+
+INTERVAL_S = 0.2  # between packages that are looked into
+MOST_ROWS = 10_000  # of a recorded flight: with more, every second one is dropped
+_FLOWN_FOR_S = 0.5  # after a setpoint nothing is commanded any more
+_HOLE_S = 2.0
+_OF_CURVES = {"line.packages_per_s": "packages_per_s", "line.round_trip_ms": "round_trip_ms"}
+
+
+@dataclass
+class Recorded:
+    """What a file tells of its flight: times are s after the beginning of the log."""
+
+    story: FlightSummary  # phases, alarms, commands, track
+    times: array[float]  # of the rows
+    columns: Mapping[str, array[float]]  # their values; NaN where there was none
+
+    def at(self, utc: float) -> float:
+        """The time of the log at a POSIX time of the flight, s."""
+        return utc - (self.story.began_utc or 0.0)
+
+    def between(
+        self, names: Sequence[str], begin_s: float, end_s: float, most: int
+    ) -> list[tuple[float, ...]]:
+        """Rows of a part of the flight, at most so many, as ``(time, value, …)``."""
+        first, last = bisect_left(self.times, begin_s), bisect_left(self.times, end_s)
+        first, last = max(0, first - 1), min(len(self.times), last + 1)
+        columns = [self.times, *(self.columns[name] for name in names)]
+        step = max(1, math.ceil((last - first) / most))
+        return [tuple(column[n] for column in columns) for n in range(first, last, step)]
+
+    def near(self, names: Sequence[str], at_s: float) -> list[float]:
+        """The values at a time; NaN where there is none within two seconds before."""
+        number = bisect_right(self.times, at_s) - 1
+        if number < 0 or at_s - self.times[number] > _HOLE_S:
+            return [math.nan] * len(names)
+        return [self.columns[name][number] for name in names]
+
+
+@dataclass
+class _Rows:
+    """Collects the rows while the file is read."""
+
+    firmware: str
+    interval: float = INTERVAL_S
+    times: array[float] = field(default_factory=lambda: array("d"))
+    columns: dict[str, array[float]] = field(
+        default_factory=lambda: {name: array("d") for name in (*COLUMNS, *COMMANDED.values())}
+    )
+    _state: AircraftState = field(default_factory=lambda: AircraftState(lambda: 0.0))
+    _commanded: dict[str, float] = field(default_factory=dict)
+    _commanded_at: float = -math.inf
+
+    def hear(self, at: float, one: Sample | Message) -> None:
+        if isinstance(one, Sample):
+            self._state.update(one)
+            last = self.times[-1] if self.times else -math.inf
+            if at - last >= 0.999 * self.interval:
+                if at - last > _HOLE_S and self.times:
+                    self._add(last + _HOLE_S / 2, {})
+                self._add(at, self._row(at, one.received_at))
+        else:
+            self._commanded_at, self._commanded = at, self._read(one)
+
+    def _row(self, at: float, now: float) -> dict[str, float | None]:
+        row = dict(zip(COLUMNS, _numbers(self._state, now), strict=False))
+        return row | (self._commanded if at - self._commanded_at <= _FLOWN_FOR_S else {})
+
+    def _add(self, at: float, row: Mapping[str, Any]) -> None:
+        self.times.append(at)
+        for name, column in self.columns.items():
+            value = row.get(name)
+            column.append(math.nan if value is None else float(value))
+        if len(self.times) > MOST_ROWS:
+            self.interval *= 2.0
+            for column in (self.times, *self.columns.values()):
+                del column[1::2]
+
+    def _read(self, message: Message) -> dict[str, float]:
+        """The numbers that a setpoint commands; none where it is of another writer."""
+        try:
+            move = Move(**message.content()["movement"])
+            mode, x, y, z, yaw, frame, _ = ReceivedMove.read(
+                move, PROFILES.get(self.firmware, FIRMWARE_1_0)
             )
-        return text.getvalue()
+        except (M100Error, LookupError, TypeError, ValueError):
+            return {}
+        found: dict[str, float] = {}
+        if mode.horizontal is Horizontal.TILT:
+            found |= {"roll_deg": x, "pitch_deg": y}
+        elif mode.horizontal is Horizontal.VELOCITY:
+            found["ground_speed_m_s"] = math.hypot(x, y)
+            attitude = self._state.get(Attitude)
+            if frame is ReferenceFrame.GROUND:
+                found |= {"north_m_s": x, "east_m_s": y}
+            elif attitude is not None:
+                heading = math.radians(attitude.yaw_deg)
+                cos, sin = math.cos(heading), math.sin(heading)
+                found |= {"north_m_s": x * cos - y * sin, "east_m_s": x * sin + y * cos}
+        if mode.vertical is not Vertical.THRUST:
+            found["height_m" if mode.vertical is Vertical.HEIGHT else "up_m_s"] = z
+        found["yaw_deg" if mode.yaw is Yaw.ANGLE else "yaw_rate_deg_s"] = yaw
+        return {f"commanded.{name}": value for name, value in found.items()}
+
+    def take(self, name: str, curve: Curve) -> None:
+        """The last point of a curve before each row."""
+        column, points = self.columns[name], iter(curve.points())
+        value, following = math.nan, next(points, None)
+        for number, at in enumerate(self.times):
+            while following is not None and following[0] <= at:
+                value, following = following[1], next(points, None)
+            column[number] = value
+
+
+def analyse(path: str, firmware: str) -> Recorded | str:
+    """Read a file, or return why it cannot be read. ``firmware``: name of the profile, or empty."""
+    rows = _Rows(firmware)
+    try:
+        story = read_story(
+            read(path), firmware=firmware or None, interval_s=INTERVAL_S, listener=rows.hear
+        )
+    except M100Error as error:
+        return error.seen
+    except OSError as error:
+        return f"{path} cannot be read: {error.strerror}"
+    for name, curve in _OF_CURVES.items():
+        rows.take(name, getattr(story.curves, curve))
+    return Recorded(story, rows.times, rows.columns)
+
+
+_CHILD = (
+    "import pickle, sys; from m100link.apps.station.console.kept import analyse; "
+    "sys.stdout.buffer.write(pickle.dumps(analyse(*sys.argv[1:])))"
+)
+
+
+async def analysed(path: str, firmware: str) -> Recorded | str:
+    """The same by a process of its own, which ends with the task."""
+    process = await asyncio.create_subprocess_exec(
+        *(sys.executable, "-c", _CHILD, path, firmware),
+        stdin=asyncio.subprocess.DEVNULL,
+        stdout=asyncio.subprocess.PIPE,
+    )
+    try:
+        data, _ = await process.communicate()
+    finally:
+        if process.returncode is None:
+            process.kill()
+    if not data:
+        return f"the process that read {path} ended with {process.returncode}"
+    found: Recorded | str = pickle.loads(data)  # of our own process
+    return found

@@ -50,7 +50,7 @@ from m100link.apps.station.console.kept import PlotHistory
 from m100link.apps.station.console.orders import SimulatorOrders
 from m100link.apps.station.console.tab import Tab
 from m100link.apps.station.console.tabs import Tabs
-from m100link.apps.station.console.view.situation import Inputs, Ship
+from m100link.apps.station.console.view.situation import Inputs, RecordedFlight, Ship
 from m100link.apps.station.console.view.texts import for_browser
 from m100link.apps.station.console.view.view_model import Memory, ViewModel, view_of
 
@@ -83,7 +83,7 @@ class Page:
         orders: SimulatorOrders | None,  # of the panel to a virtual aircraft, or None
         *,
         has_tiles: bool,  # whether there are map tiles
-        history: PlotHistory,  # the last minutes of every number
+        history_of: Callable[[str], PlotHistory],  # what was flown, by the name of an aircraft
         tabs: Tabs,  # who looks at this and at other aircraft
     ) -> None:
         self._agent, self._tab = agent, tab
@@ -98,7 +98,7 @@ class Page:
             ui.dark_mode(None),
             self._show,
             has_tiles,
-            history,
+            history_of,
             tabs,
         )
         self._sections: dict[str, ui.element] = {}
@@ -197,6 +197,19 @@ class Page:
             for name, agent in self._context.tabs.agents.items()
         )
 
+    def _flight(self) -> RecordedFlight | None:
+        """Of a replay: what its file says, once it was read, and where it is."""
+        context, replay = self._context, self._agent.state.replay
+        recorded = context.history.recorded
+        if replay is None or recorded is None:
+            return None
+        is_compared = context.memory.compared in context.tabs.agents
+        other = context.history_of(context.memory.compared).recorded if is_compared else None
+        utc = replay.utc + self._agent.view.now - replay.clock
+        return RecordedFlight(
+            recorded.story, recorded.at(utc), None if other is None else other.story
+        )
+
     def _view(self) -> ViewModel:
         agent, tab, tabs = self._agent, self._tab, self._context.tabs
         is_data = self._shown == "data"
@@ -208,6 +221,7 @@ class Page:
                 refusal=tab.refusal,
                 plan=agent.plan,
                 events=tuple(agent.events),
+                flight=self._flight(),
                 link=agent.link,
                 front_lag=self._context.history.lag,
                 page_trip=tab.way.round_trip,

@@ -5,28 +5,52 @@ from __future__ import annotations
 import asyncio
 import math
 import random
+import time
 from collections.abc import AsyncIterator, Awaitable, Callable
-from contextlib import AsyncExitStack
+from contextlib import AsyncExitStack, suppress
 from dataclasses import dataclass
+from pathlib import Path
 from urllib.parse import parse_qs, urlsplit
 
 import anyio
 import pytest
 
+from m100link import Credentials, connect
 from m100link.apps.agent import orders
 from m100link.apps.agent.control_session import ControlSession
 from m100link.apps.agent.messages import Event, State
 from m100link.apps.agent.server.server import AgentServer
 from m100link.apps.agent.transports import memory_channels
 from m100link.apps.station.console import kept
-from m100link.apps.station.console.kept import COLUMNS, INTERVAL, KEPT_S, PlotHistory, Preferences
+from m100link.apps.station.console.kept import (
+    COLUMNS,
+    COMMANDED,
+    INTERVAL,
+    KEPT_S,
+    PlotHistory,
+    Preferences,
+    Recorded,
+    analyse,
+    analysed,
+)
 from m100link.apps.station.console.tab import Tab
 from m100link.apps.station.console.tabs import MOVE_PATIENCE, Tabs
+from m100link.apps.station.console.view.alarms import MOMENT_S, AlarmName
+from m100link.apps.station.console.view.header import Cause
+from m100link.apps.station.console.view.situation import Inputs, RecordedFlight
+from m100link.apps.station.console.view.view_model import Memory, view_of
+from m100link.errors import M100Error
+from m100link.log import recorder
 from m100link.protocol.records import Position
+from m100link.sim import VirtualClockEventLoop
+from m100link.sim.orders import perform
+from m100link.sim.ports import driver
 from m100link.sim.virtual import VirtualAircraft
+from tests.apps.agent.server.test_replays import station
 from tests.apps.station.conftest import Rig
 from tests.apps.station.console.test_tab import Browser
 from tests.known import seen
+from tests.log.flight import APP_ID, KEY
 
 pytestmark = pytest.mark.anyio
 
@@ -537,3 +561,135 @@ def test_a_download_has_a_line_for_each_row_and_nothing_where_there_was_no_value
         "2001-09-09T01:46:40.000Z,,12.5",
         "2001-09-09T01:46:40.100Z,,12.5",
     ]
+
+
+# -- a recorded flight -----------------------------------------------------------------------------
+
+
+@pytest.fixture
+async def alarming(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The log of a flight with a silence of 3 s, a low battery and authority that was lost."""
+    pytest.importorskip("mcap", reason="the extra `log` is not installed")
+    monkeypatch.setattr(recorder, "FLUSH_S", 0.0)
+    aircraft = VirtualAircraft(seed=5, app_id=APP_ID, key=KEY)
+    monkeypatch.setattr(driver, "aircraft_of", lambda _: aircraft)
+    path = tmp_path / "flight.mcap"
+    async with connect("sim://", record=path) as flown:
+        await flown.activate(Credentials(app_id=APP_ID, key=KEY))
+        with suppress(M100Error):
+            async with flown.control() as control:
+                await control.take_off()
+                await control.fly_to(north=6.0, east=-4.0, up=2.0, speed=1.5)
+                perform(aircraft, "rc-mode P")
+                await anyio.sleep(3.0)
+        for order in ("battery 24", "stall on", "stall off"):
+            perform(aircraft, order)
+            await anyio.sleep(3.0)
+    return path
+
+
+def test_what_cannot_be_read_is_said(tmp_path: Path) -> None:
+    assert "No such file" in str(analyse(str(tmp_path / "none.mcap"), ""))
+    (tmp_path / "text.mcap").write_text("no log")
+    assert isinstance(analyse(str(tmp_path / "text.mcap"), ""), str)
+
+
+async def test_rows_of_a_file_have_what_was_commanded_beside_what_was_flown(alarming: Path) -> None:
+    found = analyse(str(alarming), "")
+    assert isinstance(found, Recorded)
+    story = found.story
+    assert {one.name for one in story.alarms} >= {"link_old", "battery_low", "authority_lost"}
+    names = [HEIGHT, *(COMMANDED[name] for name in (HEIGHT, "velocity.north_m_s"))]
+    rows = found.between(names, 0.0, story.duration_s, 10_000)
+    assert rows[0][0] < 0.5 < story.duration_s - 0.5 < rows[-1][0]
+    silent = next(one for one in story.alarms if one.name == "link_old")
+    [hole] = [at for at, height, *_ in rows if silent.begin_s < at < silent.end_s]
+    assert math.isnan(found.near([HEIGHT], hole)[0])
+    assert all(math.isnan(value) for value in found.near(names, silent.end_s - 0.1))
+    # It was sent north-west at 1.5 m/s, and follows.
+    sent = [row for row in rows if math.isfinite(row[3])]
+    assert max(row[3] for row in sent) == pytest.approx(1.5 * 6 / math.hypot(6, 4), abs=0.1)
+    at, *_, north = sent[len(sent) // 2]
+    assert found.near(["velocity.north_m_s"], at)[0] == pytest.approx(north, abs=0.3)
+    began = story.streams[0].begin_s
+    assert not [at for at, *_, north in rows if at < began and math.isfinite(north)]
+    assert found.near(names, -1.0)[0] != found.near(names, -1.0)[0]
+    few = found.between(names, 2.0, 10.0, 10)
+    assert len(few) <= 10 + 1
+    assert few[0][0] <= 2.0
+
+
+async def test_of_a_long_file_every_second_row_goes(
+    alarming: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(kept, "MOST_ROWS", 20)
+    found = analyse(str(alarming), "")
+    assert isinstance(found, Recorded)
+    assert 10 <= len(found.times) <= 20
+    assert {len(column) for column in found.columns.values()} == {len(found.times)}
+    assert found.times[-1] > 0.8 * found.story.duration_s
+
+
+async def test_the_process_that_reads_returns_what_it_read(alarming: Path) -> None:
+    there = await analysed(str(alarming), "1.0")
+    here = analyse(str(alarming), "1.0")
+    assert isinstance(there, Recorded)
+    assert isinstance(here, Recorded)
+    assert there.story.alarms == here.story.alarms
+    assert there.story.path.points() == here.story.path.points()
+    assert there.times == here.times
+    assert isinstance(await analysed("none.mcap", ""), str)
+
+
+@pytest.mark.parametrize(
+    "seed", [0, *(pytest.param(n, marks=pytest.mark.slow) for n in range(1, 20))]
+)
+async def test_a_replay_on_a_busy_computer_shows_the_alarms_of_its_file_and_no_others(
+    alarming: Path, seed: int
+) -> None:
+    """50 seeks at any speed; what holds up the process, up to 5 s, is drawn by the seed."""
+    found = analyse(str(alarming), "")
+    assert isinstance(found, Recorded)
+    chance, loop = random.Random(seed), asyncio.get_running_loop()
+    assert isinstance(loop, VirtualClockEventLoop)
+    spans = {AlarmName(one.name): one for one in found.story.alarms}
+    memory = Memory()
+    async with station(f"replay://{alarming}") as (_, client):
+        for number in range(50):
+            await client.ask(orders.OrderReplay(f"speed {chance.choice([0.5, 1.0, 5.0, 50.0])}"))
+            place = chance.uniform(0.0, found.story.duration_s)
+            await client.ask(orders.OrderReplay(f"seek {place:.2f}"))
+            for _ in range(chance.randrange(1, 4)):
+                await anyio.sleep(chance.choice([0.0, 0.01, 0.3]))
+                told = client.view.state.replay
+                assert told is not None
+                at = found.at(told.utc + client.view.now - told.clock)
+                view = view_of(
+                    Inputs(vehicle=client.view, flight=RecordedFlight(found.story, at)), memory
+                )
+                for alarm in view.alarms:
+                    span, seen_at = spans[alarm.name], (seed, number, alarm.name, at)
+                    lasted = span.end_s - span.begin_s or MOMENT_S
+                    assert 0.0 <= at - span.begin_s <= lasted, seen_at
+                silence = spans[AlarmName.LINK_OLD]
+                if view.status.cause is Cause.AIRCRAFT_SILENT:
+                    assert silence.begin_s <= at <= silence.end_s + 0.1, (seed, number, at)
+                if chance.random() < 0.3:
+                    loop._jumping.now += chance.uniform(0.0, 5.0)
+
+
+async def test_track_and_home_are_kept_for_pages_that_come_later(rig: Rig) -> None:
+    history = PlotHistory()
+    rig.front.background.spawn(history.keep(rig.front), "history")
+    await anyio.sleep(2.0)
+    assert rig.front.telemetry is not None
+    stood = rig.front.telemetry.position
+    assert stood is not None
+    home = history.path.home(time.time())
+    assert home is not None
+    assert home[1:] == pytest.approx((stood.latitude_deg, stood.longitude_deg), abs=1e-6)
+    rig.aircraft.stall_line()
+    await anyio.sleep(1.0)
+    again = history.path.home(time.time())
+    assert again is not None
+    assert again[1:] == home[1:]

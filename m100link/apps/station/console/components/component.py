@@ -12,7 +12,7 @@ from nicegui import events, ui
 from nicegui.events import GenericEventArguments
 
 from m100link.apps.agent.client import AgentClient
-from m100link.apps.agent.orders import ChangeHeight, TakeOff
+from m100link.apps.agent.orders import ChangeHeight, OrderReplay, TakeOff
 from m100link.apps.station.console.kept import PlotHistory
 from m100link.apps.station.console.orders import SimulatorOrders
 from m100link.apps.station.console.tab import Tab
@@ -368,8 +368,21 @@ class PageContext:
     dark: ui.dark_mode  # switches the dark looks of NiceGUI's own elements
     show: Callable[[str], Awaitable[None]]  # shows another view of the page, by its name
     has_tiles: bool  # whether there are map tiles under ``/tiles/{z}/{x}/{y}.png``
-    history: PlotHistory  # the last minutes of every number
+    history_of: Callable[[str], PlotHistory]  # what was flown, by the name of an aircraft
     tabs: Tabs  # who looks at this and at other aircraft
+
+    @property
+    def history(self) -> PlotHistory:
+        """What its aircraft flew."""
+        return self.history_of(self.tab.aircraft)
+
+    def seek(self, utc: float) -> None:
+        """Move the replay to a time of its flight, POSIX time in s."""
+        replay = self.agent.state.replay
+        if replay is not None:
+            place = replay.position_s + utc - replay.utc
+            work = self.agent.ask(OrderReplay(f"seek {place:.2f}"))
+            self.agent.background.spawn(self.tab.attempt(lambda: work), "seek")
 
     async def take_off(self) -> None:
         """Take off to the chosen height, if the checklist offers it.

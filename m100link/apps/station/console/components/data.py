@@ -10,14 +10,24 @@ from typing import Any
 from nicegui import events, ui
 
 from m100link.apps.station.console.components.component import PageContext, ReadingRow, attribute
-from m100link.apps.station.console.kept import COLUMNS, INTERVAL
+from m100link.apps.station.console.kept import (
+    COLUMNS,
+    COMMANDED,
+    INTERVAL,
+    MOST_ROWS,
+    Recorded,
+    as_csv,
+)
 from m100link.apps.station.console.view.data import (
     FIRST_CHOICE,
+    FLIGHT,
     LEVELS,
     LINK_ITEMS,
     MIME,
     MOST,
+    MOST_OF_WHOLE,
     RANGES,
+    WHOLE,
     EventLine,
     Format,
     chart,
@@ -28,8 +38,10 @@ from m100link.apps.station.console.view.data import (
     points,
     select,
     step,
+    window,
 )
 from m100link.apps.station.console.view.fly import FIELDS
+from m100link.apps.station.console.view.situation import RecordedFlight
 from m100link.apps.station.console.view.texts import Text, tr
 from m100link.apps.station.console.view.view_model import ViewModel
 
@@ -155,6 +167,9 @@ class PlotsPart:
         self._sent = 0
         self._is_whole_wanted = True
         self._version = 0  # of what is drawn: what comes late of another one is passed over
+        self._flight: Recorded | None = None  # of a replay
+        self._drawn: object = None  # of it
+        self._window = 0.0, 0.0  # which part of it, s after the beginning of its log
         wording = page.wording
         with wording.card("plots.title").props("id=plots-card"):
             with ui.row().classes("w-full items-center gap-2"):
@@ -171,6 +186,7 @@ class PlotsPart:
                 )
                 wording.put(attribute(self._chosen, "label"), "plots.numbers", most=MOST)
                 seconds = ui.select(RANGES, value=self._seconds, on_change=self._set_range)
+                self._range = seconds
                 wording.put(attribute(seconds.props("id=plot-range dense"), "label"), "plots.range")
                 with ui.element("button").classes("act plain") as self._pause:
                     self._pause_text = ui.label()
@@ -179,6 +195,8 @@ class PlotsPart:
                 wording.put(attribute(csv, "title"), "plots.csv.note")
             self._chart: Any = ui.echart({}).classes("w-full").props("id=plots role=img")
             wording.put(attribute(self._chart), "plots.chart")
+            page.load("instruments.js")
+            ui.on("plot_pointed", self._pointed)
             wording.follow(self._say_again)
 
     def _say_again(self) -> None:
@@ -187,8 +205,12 @@ class PlotsPart:
         self._draw_anew()
 
     def _draw_anew(self) -> None:
+        self._drawn = None
+        self._set_chart(chart(self._names, self._page.wording.settings.speaker))
+
+    def _set_chart(self, options: dict[str, Any]) -> None:
         self._chart.options.clear()
-        self._chart.options.update(chart(self._names, self._page.wording.settings.speaker))
+        self._chart.options.update(options)
         self._chart.style(f"height: {height(self._names)}px")
         self._chart.update()
         self._is_whole_wanted = True
@@ -203,7 +225,7 @@ class PlotsPart:
 
     def _set_range(self, event: events.ValueChangeEventArguments[Any]) -> None:
         self._seconds = int(event.value)
-        self._is_whole_wanted = True
+        self._is_whole_wanted, self._drawn = True, None
 
     def _toggle(self) -> None:
         is_paused = self._until is None
@@ -216,12 +238,21 @@ class PlotsPart:
         self._pause_text.set_text(self._page.wording(Text(key)))
 
     def _download(self) -> None:
-        text = self._page.history.csv(self._names, last_s=self._seconds, until=self._until)
+        if self._flight is None:
+            text = self._page.history.csv(self._names, last_s=self._seconds, until=self._until)
+        else:
+            began = self._flight.story.began_utc or 0.0
+            rows = self._flight.between(self._names, *self._window, MOST_ROWS)
+            text = as_csv(self._names, [(began + at, *values) for at, *values in rows])
         ui.download.content(text, "m100link.csv", "text/csv")
 
     def update(self, view: ViewModel) -> None:
         """Send the points that the page does not have."""
         history = self._page.history
+        if view.replay is not None:
+            if view.flight is not None and history.recorded is not None:
+                self._update_recorded(view.flight, history.recorded)
+            return
         if (self._until is not None and not self._is_whole_wanted) or not self._names:
             return
         is_whole = self._is_whole_wanted or history.count - self._sent > self._seconds / INTERVAL
@@ -241,6 +272,55 @@ class PlotsPart:
             ui.run_javascript(
                 f'import("/console/instruments.js").then((m)=>m.addRows({self._chart.id},...{given}))'
             )
+
+    # -- a recorded flight, whole or a part of it, with a cursor where the replay is -------------
+
+    def _pointed(self, event: events.GenericEventArguments) -> None:
+        """Somebody pointed at a time of the chart: the replay goes on from there."""
+        if self._flight is not None and isinstance(event.args, int | float):
+            self._page.seek(event.args / 1000.0)
+
+    def _update_recorded(self, flight: RecordedFlight, recorded: Recorded) -> None:
+        if self._flight is None:
+            self._pause.set_visibility(False)
+            whole = {WHOLE: self._page.wording(tr("plots.whole"))}
+            self._range.set_options(whole | RANGES, value=WHOLE)
+            self._seconds = WHOLE
+        self._flight = recorded
+        self._window = window(flight, self._seconds, self._window)
+        other = self._page.history_of(self._page.memory.compared).recorded if flight.other else None
+        wanted = recorded, other, tuple(self._names), self._window
+        if wanted != self._drawn:
+            self._drawn = wanted
+            self._send_recorded(recorded, other)
+        cursor = round(1000.0 * ((recorded.story.began_utc or 0.0) + flight.at))
+        given = f"{self._chart.id}, {len(self._names)}, {cursor}"
+        ui.run_javascript(f'import("/console/instruments.js").then((m)=>m.setCursor({given}))')
+
+    def _send_recorded(self, recorded: Recorded, other: Recorded | None) -> None:
+        names, speaker = self._names, self._page.wording.settings.speaker
+        began, story = recorded.story.began_utc or 0.0, recorded.story
+        twins = [(n, COMMANDED[name]) for n, name in enumerate(names) if name in COMMANDED]
+        beside = [(n, tr("plots.commanded")) for n, _ in twins]
+        drawn = [*names, *(name for _, name in twins)]
+        rows = recorded.between(drawn, *self._window, MOST_OF_WHOLE)
+        if other is not None:
+            beside += [(n, tr("plots.other")) for n in range(len(names))]
+            shift = (other.story.took_off_s or 0.0) - (story.took_off_s or 0.0)
+            rows = [(*row, *other.near(names, row[0] + shift)) for row in rows]
+            drawn += names
+        spans = [
+            (1000.0 * (began + one.begin_s), 1000.0 * (began + one.end_s)) for one in story.alarms
+        ]
+        self._set_chart(chart(names, speaker, beside, spans))
+        self._version += 1
+        utc = [(began + at, *values) for at, *values in rows]
+        begin, end = self._window
+        points_of = points(utc, drawn, self._page.wording.settings.units)
+        given = json.dumps([self._version, points_of, 1000 * (end - begin)], separators=(",", ":"))
+        ui.run_javascript(
+            f'import("/console/instruments.js").then((m)=>m.addRows({self._chart.id},...{given}))'
+        )
 
 
 # -- what happened ---------------------------------------------------------------------------------
@@ -321,4 +401,7 @@ class EventsPart:
         wording = self._page.wording
         time = line.time(wording.utc_offset_min).strftime("%H:%M:%S")
         text = f"{time} {_SHAPES[line.level]} {line.said(wording.settings.speaker)}"
-        return ui.label(text).classes(line.level)
+        placed = ui.label(text).classes(line.level)
+        if line.source == FLIGHT:  # the replay goes on from there
+            placed.classes("jump").on("click", partial(self._page.seek, line.at), args=[])
+        return placed

@@ -303,6 +303,7 @@ class ReplayPart:
         self._is_held = False  # a finger moves the place
         self._duration_s = -1.0
         self._is_marked = False  # the page: what one flies with is hidden
+        self._shown: ReplayView | None = None
         put = page.wording.put
         with ui.element("section").props("id=replay") as self._bar:
             put(attribute(self._bar), "replay.bar")
@@ -319,6 +320,13 @@ class ReplayPart:
                     self._toggle = ui.label()
                 toggle.on("click", partial(self._order, "toggle"), args=[])
                 page.wording.button("replay.on", "data-replay=on", on)
+                self._alarms = {
+                    name: page.wording.button(f"replay.{name}", f"data-replay={name}", seek)
+                    for name, seek in (
+                        ("alarm_before", partial(self._to_alarm, "alarm_before")),
+                        ("alarm_after", partial(self._to_alarm, "alarm_after")),
+                    )
+                }
                 self._slider = ui.slider(min=0.0, max=1.0, step=_STEP, value=0.0)
                 self._slider.props("id=replay-slider")
                 put(attribute(self._slider), "replay.place")
@@ -328,6 +336,10 @@ class ReplayPart:
                 self._speed = ui.select(choices, value=1.0).props("dense outlined for=replay-speed")
                 put(attribute(self._speed, "label"), "replay.speed")
                 self._speed.on_value_change(self._sped)
+                self._other = ui.select([""], value="").props("dense outlined for=replay-other")
+                put(attribute(self._other, "label"), "replay.other")
+                self._other.on_value_change(self._compare)
+                self._other.set_visibility(False)
         self._bar.set_visibility(False)
 
     def _order(self, text: str) -> None:
@@ -345,12 +357,19 @@ class ReplayPart:
         self._is_held = False
         self._order(f"seek {float(self._slider.value or 0.0):.1f}")
 
+    def _to_alarm(self, name: str) -> None:
+        if self._shown is not None and (place := getattr(self._shown, name)) is not None:
+            self._order(f"seek {place:.2f}")
+
+    def _compare(self, event: events.ValueChangeEventArguments[str]) -> None:
+        self._page.memory.compared = event.value or ""
+
     def _sped(self, event: events.ValueChangeEventArguments[float]) -> None:
         if not self._is_showing and event.value is not None:
             self._order(f"speed {event.value:g}")
 
     def update(self, view: ViewModel) -> None:
-        shown = view.replay
+        shown = self._shown = view.replay
         self._bar.set_visibility(shown is not None)
         if shown is not None:
             self._is_showing = True
@@ -365,6 +384,12 @@ class ReplayPart:
         self._title.set_text(said(shown.title))
         self._place.set_text(said(shown.place))
         self._note.set_text("" if shown.note is None else said(shown.note))
+        for name, button in self._alarms.items():
+            button.set_visibility(getattr(shown, name) is not None)
+        others = [name for name in self._page.tabs.agents if name != self._page.tab.aircraft]
+        if others and self._other.options != ["", *others]:
+            self._other.set_options(["", *others])
+            self._other.set_visibility(True)
         self._toggle.set_text(said(Text("replay.pause" if shown.is_running else "replay.resume")))
         if source.duration_s != self._duration_s:
             self._duration_s = source.duration_s

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -44,7 +45,10 @@ class MapPart:
     """One map for both views; drawn on by ``static/map.js``."""
 
     def __init__(self, page: PageContext) -> None:
+        self._page = page
         self._shown = Chart(None, ())
+        self._track: Any = None  # what was told of the track last
+        self._version: Any = None  # of it, with how many of its places
         options = {"zoomControl": False, "attributionControl": False, "maxZoom": 22}
         with ui.element("div").props("id=map-frame"):
             self.leaflet = FlightMap(zoom=18, options=options | {"keyboard": False})
@@ -61,13 +65,46 @@ class MapPart:
         ui.label().props("id=map-home").classes("map-home")
 
     def update(self, view: ViewModel) -> None:
-        """Show plan and envelope when they are others; what moves comes by the socket."""
+        """Show plan, envelope and track when they are others; what moves comes by the socket."""
+        self._update_track(view)
         chart = view.chart
         if chart != self._shown:
             self._shown = chart
             ui.run_javascript(
                 'import("/console/shell.js").then(({m100}) => m100.onMap('
                 f"(map) => map.setChart({json.dumps(chart.route)}, {json.dumps(chart.fence)})))"
+            )
+
+    def _update_track(self, view: ViewModel) -> None:
+        """Tell the places that the page does not have. The page itself keeps no track."""
+        recorded, until = view.flight, None if view.flight is None else view.flight.at
+        path = self._page.history.path if recorded is None else recorded.story.path
+        version = id(path), path.version
+        before, told = self._version if self._version is not None else (None, 0)
+        sent = told if before == version else 0
+        points = path.points(sent)
+        self._version = version, sent + len(points)
+        home = path.home(time.time() if until is None else until)
+        other = None if recorded is None else recorded.other
+        state = (home, until, id(other), before == version)
+        if points or state != self._track:
+            is_other = self._track is None or self._track[2] != id(other)
+            self._track = state
+            given: dict[str, object] = {
+                "version": repr(version),
+                "from": sent,
+                "points": [
+                    (round(at, 2), round(lat, 7), round(lon, 7), round(high, 1), joined)
+                    for at, lat, lon, high, joined in points
+                ],
+                "home": None if home is None else (home.latitude_deg, home.longitude_deg),
+                "until": until,
+            }
+            if is_other:
+                given["other"] = [] if other is None else other.path.points()
+            ui.run_javascript(
+                'import("/console/shell.js").then(({m100}) => m100.onMap('
+                f"(map) => map.setTrack({json.dumps(given, separators=(',', ':'))})))"
             )
 
 

@@ -67,7 +67,7 @@ function look() {
   const told = find("#alarm-sound");
   if (!told) return;
   const isLost = lookAtStation();
-  const wanted = isLost && !lost.isSeen ? "danger" : isLost ? "" : told.dataset.level;
+  const wanted = isLost && !lost.isSeen && !isReplay() ? "danger" : isLost ? "" : told.dataset.level;
   if (wanted !== heard.level) beepAt = 0;
   heard.level = wanted;
   if (wanted && performance.now() >= beepAt) beep(wanted);
@@ -82,6 +82,9 @@ function look() {
   count();
 }
 
+// Nothing flies: a station that is late is shown, and warns nobody.
+const isReplay = () => document.body.dataset.replay === "yes";
+
 // Whether this page hears the station; its own alarm, in the words that the station gave it before.
 function lookAtStation() {
   const socket = m100.socket;
@@ -92,7 +95,7 @@ function lookAtStation() {
   const page = find("#page-lost");
   if (isLost && lost.since === null) {
     lost = {since: performance.now() - silentMs, isSeen: false};
-    speak(page.dataset.text, document.documentElement.lang);
+    if (!isReplay()) speak(page.dataset.text, document.documentElement.lang);
   } else if (!isLost) lost = {since: null, isSeen: false};
   document.body.classList.toggle("unheard", isLost);
   if (isLost) fill(find("#page-lost-since"), performance.now() - lost.since - LOST_AFTER_MS / 2);

@@ -174,12 +174,36 @@ export function addRows(id, version, rows, keepMs) {
   const last = kept.rows.length ? kept.rows[kept.rows.length - 1][0] : -Infinity;
   kept.rows.push(...rows.filter((row) => row[0] > last));
   if (!kept.rows.length) return;
+  point(id, chart);
   const newest = kept.rows[kept.rows.length - 1][0];
   kept.rows.splice(0, kept.rows.findIndex((row) => row[0] >= newest - keepMs));
-  const count = chart.getModel().getSeriesCount();
+  const count = chart.getModel().getSeriesCount(), axes = chart.getOption().xAxis.length;
   const between = {min: newest - keepMs, max: newest};
   chart.setOption({
-    xAxis: Array(count).fill(between),
+    xAxis: Array(axes).fill(between),
     series: Array.from({length: count}, (_, n) => ({data: kept.rows.map((row) => [row[0], row[n + 1] ?? null])})),
+  });
+}
+
+// Of a recorded flight: a line in each stripe where the replay is.
+export function setCursor(id, stripes, at) {
+  const chart = window.getElement(id)?.chart;
+  if (!chart || !charts.has(id)) return;
+  const markLine = {symbol: "none", silent: true, animation: false, label: {show: false},
+    lineStyle: {color: "#7b1fa2", width: 2, type: "solid"}, data: [{xAxis: at}]};
+  chart.setOption({series: Array(stripes).fill({markLine})});
+}
+
+// A press on a chart tells which time it is of.
+const pointed = new Set();
+
+function point(id, chart) {
+  if (pointed.has(id)) return;
+  pointed.add(id);
+  chart.getZr().on("click", ({offsetX, offsetY}) => {
+    const stripe = chart.getOption().grid.findIndex((_, n) => chart.containPixel({gridIndex: n}, [offsetX, offsetY]));
+    if (stripe < 0) return;
+    const [at] = chart.convertFromPixel({gridIndex: stripe}, [offsetX, offsetY]);
+    window.emitEvent("plot_pointed", at);
   });
 }

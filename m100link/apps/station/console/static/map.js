@@ -6,8 +6,6 @@ const RADIUS_M = 6378137;
 const isStill = matchMedia("(prefers-reduced-motion: reduce)");
 const radians = (degrees) => degrees * Math.PI / 180;
 const GRID_STEPS = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000];
-const MOVED_M = 0.3;      // between two points of the track
-const TRACK_POINTS = 5000;
 const DRAW_S = 0.1;
 const AHEAD_S = 5;        // of the speed vector
 const EDGE = 30;          // pixels of what is in sight around what is shown
@@ -53,15 +51,20 @@ export class FlightMap {
     this.aimed = null;  // the place that somebody points at
     this.isPressed = false;  // what somebody aims at does not move away under the finger
     this.turned = 0;  // degrees, as drawn
-    this.track = [];
-    this.runs = [];       // of the track, one for each stretch of a colour
+    this.track = [];      // of the station: [time, latitude, longitude, height, is joined]
+    this.version = null;  // of the track: with another one it begins anew
+    this.flown = 0;       // points of the track that are drawn as flown
+    this.runs = [];       // of these, one for each stretch of a colour
     this.home = null;
     this.drawnAt = 0;
     this.canvas = L.canvas({padding: 0.3});
     onChoose(() => this.showScale());
     this.showScale();
-    this.grid = grid(L, () => this.home || this.track[0] || this.position);
+    this.grid = grid(L, () => this.home || this.track[0]?.slice(1, 3) || this.position);
     this.grid.addTo(leaflet);
+    // Of a replay: what will be flown, and another flight to compare with.
+    this.ahead = L.polyline([], {color: "#888", weight: 2, renderer: this.canvas, interactive: false}).addTo(leaflet);
+    this.other = L.polyline([], {color: "#00897b", weight: 3, dashArray: "3 6", renderer: this.canvas, interactive: false}).addTo(leaflet);
     this.route = L.polyline([], {color: "#ab47bc", weight: 3, renderer: this.canvas}).addTo(leaflet);
     this.vector = L.polyline([], {color: "#ffb300", weight: 3}).addTo(leaflet);
     this.nose = L.polyline([], {color: "#e53935", weight: 2, dashArray: "6 6"}).addTo(leaflet);
@@ -123,7 +126,31 @@ export class FlightMap {
     else this.fence.remove();
   }
 
+  // The track and home, which the station keeps: points from a number on, and the time up to which
+  // it was flown; null for all of it. Nothing else is drawn as flown.
+  setTrack({version, from, points, home, until, other}) {
+    if (version !== this.version) {
+      this.version = version;
+      this.track = [];
+      this.undraw();
+    }
+    this.track.splice(from, Infinity, ...points);
+    if (home) this.setHome(home);
+    const end = until === null ? this.track.length : this.track.findLastIndex((point) => point[0] <= until) + 1;
+    if (end < this.flown) this.undraw();
+    for (; this.flown < end; this.flown++) this.extend(this.flown);
+    if (points.length && until !== null) this.ahead.setLatLngs(joined(this.track));
+    if (other !== undefined) this.other.setLatLngs(joined(other));
+    if (points.length && !this.position) this.show(points[0].slice(1, 3));
+  }
+
+  undraw() {
+    this.flown = 0;
+    this.runs.splice(0).forEach((run) => run.remove());
+  }
+
   setHome(home) {
+    if (this.home?.join() === home.join()) return;
     this.home = home;
     const icon = window.L.divIcon({className: "home", html: "H", iconSize: [24, 24]});
     this.homeMark ??= window.L.marker(home, {icon, interactive: false, keyboard: false}).addTo(this.leaflet);
@@ -136,10 +163,10 @@ export class FlightMap {
     this.drawnAt = live.t || 0;
     this.element.dataset.stale = live.pos ? "" : "stale";
     this.attitude = live.att;
-    if (live.pos) this.add(live.pos);
-    // Home is where it stood last: a page that comes in flight does not know.
-    if (live.pos && live.ground && !(this.home && Math.hypot(...metres(live.pos, this.home)) < 1))
-      this.setHome(live.pos.slice(0, 2));
+    if (live.pos) {
+      if (!this.position) this.show(live.pos);
+      this.position = live.pos;
+    }
     if (live.att && !this.isPressed) this.turn();
     if (!this.position) return;
     this.drawAircraft(live);
@@ -147,34 +174,20 @@ export class FlightMap {
     if (live.pos && this.follows) this.keepInSight();
   }
 
-  add(position) {
-    const isFirst = !this.position;
-    this.position = position;
-    if (isFirst) {
-      this.leaflet.setView(position, 19, {animate: false});
-      this.keepInSight();
-      this.grid.redraw();
-    }
-    const last = this.track[this.track.length - 1];
-    if (last && Math.hypot(...metres(position, last), position[2] - last[2]) < MOVED_M) return;
-    this.track.push(position);
-    if (this.track.length > TRACK_POINTS) this.shorten();
-    this.extend(position, last);
+  show(position) {
+    this.leaflet.setView(position.slice(0, 2), 19, {animate: false});
+    this.keepInSight();
+    this.grid.redraw();
   }
 
-  extend(position, last) {
-    const tint = colour(Math.floor(position[2] / HEIGHT_STEP_M) * HEIGHT_STEP_M);
+  extend(number) {
+    const [, latitude, longitude, height, isJoined] = this.track[number];
+    const tint = colour(Math.floor(height / HEIGHT_STEP_M) * HEIGHT_STEP_M);
     const run = this.runs[this.runs.length - 1];
-    if (run && run.options.color === tint) return run.addLatLng(position.slice(0, 2));
-    const points = [last, position].filter(Boolean).map((point) => point.slice(0, 2));
+    if (isJoined && run && run.options.color === tint) return run.addLatLng([latitude, longitude]);
+    const points = this.track.slice(isJoined ? number - 1 : number, number + 1).map((point) => point.slice(1, 3));
     const line = window.L.polyline(points, {color: tint, weight: 4, renderer: this.canvas, interactive: false});
     this.runs.push(line.addTo(this.leaflet));
-  }
-
-  shorten() {
-    this.track.splice(0, TRACK_POINTS / 5);
-    this.runs.splice(0).forEach((run) => run.remove());
-    this.track.forEach((point, i) => this.extend(point, this.track[i - 1]));
   }
 
   drawAircraft(live) {
@@ -231,6 +244,16 @@ export class FlightMap {
     if (Math.abs(off.x) > slack[0] || Math.abs(off.y) > slack[1])
       this.leaflet.panBy(off, {animate: !isStill.matches && !this.isHeadingUp && off.distanceTo([0, 0]) < size.y / 2, duration: 0.4});
   }
+}
+
+// The lines of a track, each as far as it is joined.
+function joined(track) {
+  const lines = [];
+  for (const [, latitude, longitude, , isJoined] of track) {
+    if (!isJoined || !lines.length) lines.push([]);
+    lines[lines.length - 1].push([latitude, longitude]);
+  }
+  return lines;
 }
 
 const OVER_MAP = ".place.steering, .place.hud > *, .place.prepared > *, section[data-view=plan] > *";

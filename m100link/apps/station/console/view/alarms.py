@@ -13,7 +13,7 @@ from enum import Enum
 
 from m100link.apps.agent.client import Hearing
 from m100link.apps.agent.lease import Flown, LeaseChange
-from m100link.apps.station.console.view.situation import AlarmLevel, Situation
+from m100link.apps.station.console.view.situation import AlarmLevel, RecordedFlight, Situation
 from m100link.apps.station.console.view.texts import Quantity, Text, tr
 from m100link.errors import LossReason
 from m100link.protocol.records import FlightPhase
@@ -274,6 +274,33 @@ class ActiveAlarm:
     state: AlarmState  # where it stands; quiet only in the report that it became so
     text: Text  # what it says; of one that has passed, what it said last
     at: float  # since when it stands so, on the station's clock, s
+
+
+MOMENT_S = 10.0
+"""Seconds of a replay for which the alarm of something that only happened is shown."""
+
+
+def recorded_alarms(flight: RecordedFlight, now: Situation) -> tuple[ActiveAlarm, ...]:
+    """The alarms of a recorded flight at the place of its replay: what its file says.
+
+    Nothing is judged here, so a computer that is late raises none.
+    """
+    spans = {
+        span.name: span
+        for span in flight.story.alarms
+        if 0.0 <= flight.at - span.begin_s <= (span.end_s - span.begin_s or MOMENT_S)
+    }
+    return tuple(
+        ActiveAlarm(
+            one.name,
+            one.level,
+            AlarmState.ACKNOWLEDGED,
+            one.text(now),
+            spans[one.name.value].begin_s,
+        )
+        for one in ALARMS
+        if one.name.value in spans
+    )
 
 
 @dataclass(slots=True)

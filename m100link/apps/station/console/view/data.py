@@ -15,8 +15,9 @@ from typing import Any
 
 from m100link.apps.agent.messages import Event
 from m100link.apps.station.console.kept import COLUMNS, INTERVAL
-from m100link.apps.station.console.view.situation import Inputs
+from m100link.apps.station.console.view.situation import Inputs, RecordedFlight
 from m100link.apps.station.console.view.texts import QuantityKind, Text, Translator, Units, tr
+from m100link.log.story import FlightSummary
 from m100link.protocol.items import ITEMS
 from m100link.wire.frame import Discard
 
@@ -130,6 +131,11 @@ FIRST_CHOICE = (
 
 MOST = 6  # numbers that are drawn at once: more is not read, and costs the browser
 
+WHOLE = 0
+"""The range of a chart that shows a whole recorded flight."""
+
+MOST_OF_WHOLE = 2000  # points of each line of a recorded flight
+
 RANGES = {30: "30 s", 60: "1 min", 120: "2 min", 300: "5 min", 600: "10 min"}
 """Seconds that a chart shows, and what that is called."""
 
@@ -214,12 +220,24 @@ def points(
     ]
 
 
-def chart(names: Sequence[str], speaker: Translator) -> dict[str, Any]:
+def chart(
+    names: Sequence[str],
+    speaker: Translator,
+    beside: Sequence[tuple[int, Text]] = (),
+    spans: Sequence[tuple[float, float]] = (),
+) -> dict[str, Any]:
     """The options of an ECharts chart: a stripe for each number, one time and one cursor for all.
 
     Its points come later, by ``static/instruments.js``: only what is new goes to the page.
+    ``beside``: lines in a stripe besides its number, and what they are called. ``spans``: between
+    these times, POSIX time in ms, each stripe has another ground: there was an alarm.
     """
     stripes = range(len(names))
+    ground = {
+        "silent": True,
+        "itemStyle": {"color": "rgba(214, 69, 69, .22)"},
+        "data": [[{"xAxis": begin}, {"xAxis": end}] for begin, end in spans],
+    }
     labels = [speaker(label(name)) for name in names]
     return {
         "animation": False,
@@ -261,11 +279,41 @@ def chart(names: Sequence[str], speaker: Translator) -> dict[str, Any]:
                 "connectNulls": False,
                 "lineStyle": {"width": 1.5},
                 "color": _COLOURS[n % len(_COLOURS)],
+                "markArea": ground,
                 "data": [],
             }
             for n in stripes
+        ]
+        + [
+            {
+                "type": "line",
+                "name": speaker(name),
+                "xAxisIndex": n,
+                "yAxisIndex": n,
+                "showSymbol": False,
+                "lineStyle": {"width": 1, "type": "dashed"},
+                "color": "#888",
+                "data": [],
+            }
+            for n, name in beside
         ],
     }
+
+
+def window(
+    flight: RecordedFlight, seconds: float, before: tuple[float, float]
+) -> tuple[float, float]:
+    """The part of a recorded flight that is drawn, s after the beginning of its log.
+
+    It is the same as before while the place of the replay is in it.
+    """
+    if seconds == WHOLE:
+        return 0.0, flight.story.duration_s
+    begin, end = before
+    if end - begin == seconds and begin <= flight.at <= end:
+        return before
+    begin = max(0.0, flight.at - seconds / 10.0)
+    return begin, begin + seconds
 
 
 def height(names: Sequence[str]) -> int:
@@ -280,6 +328,9 @@ def height(names: Sequence[str]) -> int:
 LEVELS = ("info", "warning", "error")  # the levels of events, the least urgent first
 
 _MAX_LINES = 1000
+
+FLIGHT = "flight"
+"""The source of the events of a recorded flight."""
 
 
 class Format(Enum):
@@ -318,6 +369,7 @@ class Diary:
         self.lines: deque[EventLine] = deque(maxlen=_MAX_LINES)
         self._count = 0
         self._last_event = 0
+        self._story: FlightSummary | None = None  # of a replay, whose events are the lines
 
     def take(self, events: Iterable[Event], now: float, wall: float) -> None:
         """Take over what the agent reported.
@@ -329,6 +381,14 @@ class Diary:
                 self._last_event = event.number
                 self._add(wall - (now - event.at), event.level, "station", event.text)
 
+    def take_story(self, story: FlightSummary) -> None:
+        """The events of a recorded flight, at the times of that flight."""
+        if self._story is not story:
+            self._story = story
+            self.lines.clear()
+            for at, level, text in recorded_events(story):
+                self._add((story.began_utc or 0.0) + at, level, FLIGHT, text)
+
     def write(self, text: Text, wall: float, level: str = "info") -> None:
         """Add something that only this page knows."""
         self._add(wall, level, "page", text)
@@ -336,6 +396,21 @@ class Diary:
     def _add(self, at: float, level: str, source: str, text: str | Text) -> None:
         self._count += 1
         self.lines.append(EventLine(self._count, at, level, source, text))
+
+
+def recorded_events(story: FlightSummary) -> list[tuple[float, str, str]]:
+    """When it was, s after the beginning of the log, a level and a line for each event."""
+    found = [
+        *((span.begin_s, "info", f"phase: {span.name}") for span in story.phases),
+        *((span.begin_s, "info", f"control: {span.name}") for span in story.control),
+        *((span.begin_s, "warning", f"alarm: {span.text or span.name}") for span in story.alarms),
+        *((span.end_s, "info", f"alarm has passed: {span.name}") for span in story.alarms
+          if span.end_s > span.begin_s),
+        *((one.at_s, "info", str(one)) for one in story.commands),
+    ]  # fmt: skip
+    if story.ended:
+        found.append((story.duration_s, "error", f"the connection ended: {story.ended}"))
+    return sorted(found, key=lambda event: event[0])
 
 
 def select(

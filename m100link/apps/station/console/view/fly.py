@@ -410,8 +410,6 @@ def live(view: VehicleView) -> dict[str, Any]:
     attitude, position = view.get(records.Attitude), view.get(records.Position)
     velocity, rates = view.get(records.Velocity), view.get(records.AngularVelocity)
     rc = view.get(records.RemoteControl)
-    if view.is_on_ground:
-        message["ground"] = True
     if attitude is not None:
         message["att"] = _rounded(2, attitude.roll_deg, attitude.pitch_deg, attitude.yaw_deg)
     if position is not None:

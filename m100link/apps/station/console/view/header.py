@@ -10,7 +10,13 @@ from pathlib import PurePath
 
 from m100link.apps.agent.client import Hearing
 from m100link.apps.agent.messages import Replay
-from m100link.apps.station.console.view.situation import AlarmLevel, Inputs, Ship, Situation
+from m100link.apps.station.console.view.situation import (
+    AlarmLevel,
+    Inputs,
+    RecordedFlight,
+    Ship,
+    Situation,
+)
 from m100link.apps.station.console.view.texts import Quantity, Text, tr
 from m100link.missions.plan import WaypointPlan
 from m100link.protocol.records import Battery, Device, Position, RcMode
@@ -223,11 +229,20 @@ class ReplayView:
     note: Text | None  # that it is at its end, or that there is no more; None for nothing
     is_running: bool  # whether it goes on by itself
     source: Replay  # as the agent reported it
+    # Where the alarm before and the one after this place begin, s as the place; None for none.
+    alarm_before: float | None = None
+    alarm_after: float | None = None
 
 
-def replay_of(source: Replay | None) -> ReplayView | None:
+_HERE_S = 1.0  # an alarm that began so short ago is the present one
+
+
+def replay_of(source: Replay | None, flight: RecordedFlight | None = None) -> ReplayView | None:
     if source is None:
         return None
+    begins = [] if flight is None else [span.begin_s - flight.at for span in flight.story.alarms]
+    before = max((one for one in begins if one < -_HERE_S), default=None)
+    after = min((one for one in begins if one > 0.05), default=None)
     when = time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime(source.utc))
     note = tr("replay.at_end") if source.is_at_end else None
     if source.is_at_end and source.is_cut_off:
@@ -243,6 +258,8 @@ def replay_of(source: Replay | None) -> ReplayView | None:
         note=note,
         is_running=not (source.is_paused or source.is_at_end),
         source=source,
+        alarm_before=None if before is None else source.position_s + before,
+        alarm_after=None if after is None else source.position_s + after,
     )
 
 

@@ -21,6 +21,7 @@ from m100link.apps.agent.messages import (
 from m100link.apps.station.console.view.texts import Text, problem_text, tr
 from m100link.errors import LossReason, M100Error
 from m100link.geodesy import distance_m
+from m100link.log.story import FlightSummary
 from m100link.missions.plan import WaypointPlan
 from m100link.protocol.codes import ActivationCode
 from m100link.protocol.records import Battery, ControlDevice, Device, FlightPhase, Position, RcMode
@@ -175,6 +176,15 @@ class Ship:
     is_ours: bool  # whether the operator of the page has its lease
 
 
+@dataclass(frozen=True, slots=True)
+class RecordedFlight:
+    """A replay: what its file says, and where in the file it is."""
+
+    story: FlightSummary
+    at: float  # s after the beginning of the log
+    other: FlightSummary | None = None  # another flight that is laid over it
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Inputs:
     """Everything that a view may know."""
@@ -190,6 +200,7 @@ class Inputs:
     refusal: M100Error | None = None  # what was refused to that tab last
     plan: WaypointPlan | None = None  # what that tab uploaded last
     events: tuple[Event, ...] = ()  # what happened lately, oldest first
+    flight: RecordedFlight | None = None  # of a replay, once its file was read
     link: LinkCounted | None = None  # what was counted on the line; None while there is none
     front_lag: float = 0.0  # seconds that the front was late at worst in the last second
     page_trip: float | None = None  # seconds to the page and back

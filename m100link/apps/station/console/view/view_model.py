@@ -13,10 +13,17 @@ from m100link.apps.station.console.view.alarms import (
     AlarmManager,
     AlarmName,
     AlarmState,
+    recorded_alarms,
 )
 from m100link.apps.station.console.view.data import Diary, EventLine, LinkView, link_of
 from m100link.apps.station.console.view.map import Chart, chart_of
-from m100link.apps.station.console.view.situation import AlarmLevel, Inputs, Situation, situation_of
+from m100link.apps.station.console.view.situation import (
+    AlarmLevel,
+    Inputs,
+    RecordedFlight,
+    Situation,
+    situation_of,
+)
 from m100link.apps.station.console.view.texts import Text, problem_text, tr
 
 
@@ -39,6 +46,7 @@ class ViewModel:
     events: tuple[EventLine, ...]  # what happened, oldest first
     fleet: tuple[header.FleetRow, ...]  # a row for each aircraft, when there are several
     replay: header.ReplayView | None  # where the replay is; None for an aircraft
+    flight: RecordedFlight | None  # what its file says, once it was read
 
 
 def view_of(inputs: Inputs, memory: Memory | None = None) -> ViewModel:
@@ -51,7 +59,8 @@ def view_of(inputs: Inputs, memory: Memory | None = None) -> ViewModel:
         status=header.status_line(memory.situation),
         problem=None if inputs.refusal is None else problem_text(inputs.refusal),
         alarms=alarms,
-        sounding=memory.alarms.sounding,
+        # What is past warns nobody.
+        sounding=None if memory.situation.is_replay else memory.alarms.sounding,
         checklist=checklist,
         instruments=fly.instruments_of(inputs),
         chart=chart_of(inputs),
@@ -60,7 +69,8 @@ def view_of(inputs: Inputs, memory: Memory | None = None) -> ViewModel:
         link=link_of(inputs),
         events=tuple(memory.diary.lines),
         fleet=header.fleet_of(inputs.fleet),
-        replay=header.replay_of(inputs.vehicle.state.replay),
+        replay=header.replay_of(inputs.vehicle.state.replay, inputs.flight),
+        flight=inputs.flight,
     )
 
 
@@ -83,11 +93,17 @@ class Memory:
         self.checklist = fly.ChecklistModel()  # what the operator said about this take-off
         self.diary = Diary()  # the station's events, and what happened to the alarms here
         self.situation = Situation()  # what was known when it looked last
+        self.compared = ""  # of a replay: the aircraft whose flight is laid over it
         self._ahead = 0.0  # the wall's clock of the agent's
 
     def look(self, inputs: Inputs) -> tuple[tuple[ActiveAlarm, ...], fly.Checklist]:
         """Judge everything by what is known now; returns the alarms and the checklist."""
         now = self.situation = situation_of(inputs)
+        if now.is_replay:  # all of it is in the file
+            if inputs.flight is None:
+                return (), self.checklist.look(now)
+            self.diary.take_story(inputs.flight.story)
+            return recorded_alarms(inputs.flight, now), self.checklist.look(now)
         self._ahead = inputs.wall - inputs.vehicle.now
         self.diary.take(inputs.events, inputs.vehicle.now, inputs.wall)
         self._write(self.alarms.advance(now))

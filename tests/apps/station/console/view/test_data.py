@@ -31,8 +31,9 @@ from m100link.apps.station.console.view.data import (
     points,
     select,
     step,
+    window,
 )
-from m100link.apps.station.console.view.situation import Inputs
+from m100link.apps.station.console.view.situation import Inputs, RecordedFlight
 from m100link.apps.station.console.view.texts import (
     METRIC,
     Language,
@@ -44,6 +45,7 @@ from m100link.apps.station.console.view.texts import (
     translations,
 )
 from m100link.errors import LinkLost
+from m100link.log.story import FlightSummary
 from m100link.telemetry.state import AircraftState
 from m100link.wire.frame import Discard
 from tests.apps.station.conftest import Rig
@@ -295,3 +297,30 @@ def test_every_format_has_a_type_and_every_level_words() -> None:
         "warnings",
         "errors",
     }
+
+
+# -- a recorded flight -----------------------------------------------------------------------------
+
+
+def test_a_part_of_a_recorded_flight_stays_while_the_cursor_is_in_it() -> None:
+    def at(place: float, seconds: float, before: tuple[float, float]) -> tuple[float, float]:
+        story = FlightSummary("x.mcap", duration_s=500.0)
+        return window(RecordedFlight(story, place), seconds, before)
+
+    assert at(70.0, 0, (0.0, 0.0)) == (0.0, 500.0)
+    first = at(100.0, 60, (0.0, 500.0))
+    assert first == (94.0, 154.0)
+    assert at(94.0, 60, first) == at(154.0, 60, first) == first
+    assert at(154.1, 60, first) == pytest.approx((148.1, 208.1))
+    assert at(93.9, 60, first) == pytest.approx((87.9, 147.9))
+    assert at(2.0, 60, first) == (0.0, 60.0), "nothing is before the beginning"
+
+
+def test_lines_beside_a_number_and_times_of_alarms_are_drawn_in_its_stripe() -> None:
+    names = ["position.height_m", "velocity.up_m_s"]
+    drawn = chart(names, SAY, [(1, tr("plots.commanded"))], [(1000.0, 2000.0)])
+    assert [one["yAxisIndex"] for one in drawn["series"]] == [0, 1, 1]
+    assert drawn["series"][2]["name"] == "commanded"
+    spans = [one.get("markArea", {}).get("data") for one in drawn["series"]]
+    assert spans == [[[{"xAxis": 1000.0}, {"xAxis": 2000.0}]]] * 2 + [None]
+    assert len(drawn["xAxis"]) == len(drawn["grid"]) == 2

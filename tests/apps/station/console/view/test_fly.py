@@ -372,7 +372,6 @@ async def test_the_socket_tells_speed_over_ground_and_where_to(rig: Rig) -> None
     told = live(rig.front.view)
     assert told["op"] == "live"
     assert len(told["vel"]) == 4
-    assert told["ground"]  # home is where it stands
     assert len(str(told)) < 400  # twenty times a second
 
 

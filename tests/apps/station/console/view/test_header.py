@@ -27,6 +27,7 @@ from m100link.apps.station.console.view.header import (
 from m100link.apps.station.console.view.situation import (
     AlarmLevel,
     Inputs,
+    RecordedFlight,
     Ship,
     Situation,
 )
@@ -40,6 +41,7 @@ from m100link.apps.station.console.view.texts import (
 )
 from m100link.apps.station.console.view.view_model import view_of
 from m100link.geodesy import LocalFrame
+from m100link.log.story import FlightSummary, Span
 from m100link.missions.plan import WaypointPlan
 from m100link.missions.waypoint import Waypoint
 from m100link.protocol.records import Device, RcMode
@@ -390,6 +392,24 @@ def test_one_that_stands_says_why(changes: dict[str, bool], note: str | None) ->
     assert shown is not None
     assert not shown.is_running
     assert (None if shown.note is None else Translator()(shown.note)) == note
+
+
+def test_the_alarms_before_and_after_a_place_are_found() -> None:
+    alarms = [Span("gps", begin, begin + 2.0) for begin in (10.0, 30.0, 50.0)]
+    story = FlightSummary("flight.mcap", alarms=alarms)
+
+    def near(at: float) -> tuple[float | None, float | None]:
+        # The first byte came 0.5 s after the first message of the log.
+        source = replace(TOLD, position_s=at - 0.5)
+        shown = replay_of(source, RecordedFlight(story, at))
+        assert shown is not None
+        return shown.alarm_before, shown.alarm_after
+
+    assert near(5.0) == (None, 9.5)
+    assert near(30.0) == (9.5, 49.5), "the one that begins here is neither"
+    assert near(31.5) == (29.5, 49.5)
+    assert near(70.0) == (49.5, None)
+    assert replay_of(TOLD) is not None, "before the file was read"
 
 
 def test_nothing_is_offered_and_the_line_says_that_nothing_flies() -> None:

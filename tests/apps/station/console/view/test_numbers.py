@@ -187,8 +187,6 @@ def test_what_the_canvas_draws() -> None:
         "rc": [1000, -2000, 3000, -4000],
         "rate": 10.0,
     }
-    stands = FlightStatus(FlightPhase.STANDBY), Velocity(0.0, 0.0, 0.0, 7)
-    assert live(seen(heard(*stands)))["ground"] is True
     assert "att" in live(seen(heard(age=1.1)))
     assert live(seen(heard(age=1.3))) == {"op": "live", "t": 6.3, "age": 1.3, "rate": 10.0}
 

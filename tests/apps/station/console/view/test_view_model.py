@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from m100link.apps.agent.messages import Event, State
+from m100link.apps.agent.messages import Event, Replay, State
 from m100link.apps.station.console.view.alarms import AlarmName, AlarmState
-from m100link.apps.station.console.view.situation import Inputs
+from m100link.apps.station.console.view.situation import Inputs, RecordedFlight
 from m100link.apps.station.console.view.texts import Translator, tr
 from m100link.apps.station.console.view.view_model import Memory, view_of
+from m100link.log.story import FlightSummary, Moment, Span
 from tests.known import seen
 
 
@@ -97,3 +98,53 @@ def test_the_stations_events_stand_beside_them() -> None:
         )
     )
     assert told(memory) == [(99.0, "info", "station", "connected")]
+
+
+# -- a replay --------------------------------------------------------------------------------------
+
+
+def test_a_replay_has_the_alarms_and_events_of_its_file_and_no_others() -> None:
+    """The aircraft seems silent, GPS and battery are bad, and the station tells of itself."""
+    place = Replay("/x.mcap", 1000.0, 9.0, 0.0, 5.0, 7.0, 60.0, 1.0, False, False, False)
+    state = State(at=0.0, connection="connected", replay=place)
+    event = Event(1, 0.5, "error", "of the station, now")
+    story = FlightSummary(
+        "x.mcap",
+        began_utc=990.0,
+        phases=[Span("ground", 0.0, 20.0)],
+        commands=[Moment(2.0, "activate", {}, "SUCCESS", 0.1)],
+        alarms=[
+            Span("gps", 10.0, 12.0, "GPS health 2"),
+            Span("authority_lost", 20.0, 20.0, "control was lost"),
+        ],
+    )
+
+    def names(at: float, memory: Memory) -> list[AlarmName]:
+        flight = RecordedFlight(story, at)
+        known = seen(None, 5.0, state=state)
+        view = view_of(Inputs(vehicle=known, events=(event,), flight=flight), memory)
+        assert view.sounding is None
+        assert all(one.state is AlarmState.ACKNOWLEDGED for one in view.alarms)
+        return [one.name for one in view.alarms]
+
+    memory = Memory()
+    unread = view_of(Inputs(vehicle=seen(None, 5.0, state=state), events=(event,)), memory)
+    assert (unread.alarms, unread.events) == ((), ())
+    for at, expected in (
+        (9.9, []),
+        (10.0, [AlarmName.GPS]),
+        (12.0, [AlarmName.GPS]),
+        (12.1, []),
+        (20.0, [AlarmName.AUTHORITY_LOST]),
+        (29.9, [AlarmName.AUTHORITY_LOST]),  # what only happened is shown for ten seconds
+        (30.1, []),
+        (11.0, [AlarmName.GPS]),  # a seek back
+    ):
+        assert names(at, memory) == expected, at
+    assert told(memory) == [
+        (990.0, "info", "flight", "phase: ground"),
+        (992.0, "info", "flight", "activate: SUCCESS"),
+        (1000.0, "warning", "flight", "alarm: GPS health 2"),
+        (1002.0, "info", "flight", "alarm has passed: gps"),
+        (1010.0, "warning", "flight", "alarm: control was lost"),
+    ]
