@@ -192,6 +192,7 @@ export function setCursor(id, stripes, at) {
   const markLine = {symbol: "none", silent: true, animation: false, label: {show: false},
     lineStyle: {color: "#7b1fa2", width: 2, type: "solid"}, data: [{xAxis: at}]};
   chart.setOption({series: Array(stripes).fill({markLine})});
+  chart.getDom().dataset.cursor = at;
 }
 
 // A press on a chart tells which time it is of.
