@@ -27,7 +27,7 @@ RUN_UP_S = 2.5
 """Messages from so long before the beginning come at once: items of 1 Hz are known then."""
 
 _BATCH = 50  # frames until the event loop has its turn; consumers may keep no more
-_APART_S = 0.001  # between what came before a seek and its run-up
+_APART_S = 0.001  # between the packages before a seek and its run-up
 _LATE_S = 0.25  # later than this, nothing is caught up: the computer was busy, not the flight
 _EAGER = 20  # turns of the event loop in which a consumer may take what it got, before pauses
 _LONGEST_PAUSE_S = 0.02
@@ -193,7 +193,7 @@ class Player:
         self._since, self._until, self._broken = -math.inf, math.inf, ""
         self._waits = 0  # for room, since there was some
         self._begins_by = 0.0
-        self.run_began_at = self.time()  #: what came before this time is void, s by :meth:`time`
+        self.run_began_at = self.time()  #: packages of an earlier time are void, s by :meth:`time`
 
     # -- time --------------------------------------------------------------------------------------
 
@@ -281,7 +281,7 @@ class Player:
         """
         self.run_began_at = self.time() + _APART_S
         self._from = min(max(0.0, to_s), self._to)
-        # No package of the run-up is older than one of before: their times tell them apart.
+        # The run-up is later than every package so far: times tell the two apart.
         self._shift = self.run_began_at + RUN_UP_S - (self.begin.at + self._from)
         self._set_clock(self.begin.at + self._from)
         self._frames.clear()

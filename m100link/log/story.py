@@ -90,10 +90,7 @@ class Curve:
 
 
 class Place(NamedTuple):
-    """A place that was passed: time, s, and metres north, east and up.
-
-    ``is_joined``: whether it was flown to from the one before; between them nothing was silent.
-    """
+    """A place: time, s, metres north, east and up, and whether no silence was before it."""
 
     at_s: float
     north_m: float
@@ -120,7 +117,7 @@ class Track:
         self._heard_at_s = -math.inf
 
     def add(self, at_s: float, north_m: float, east_m: float, height_m: float = 0.0) -> None:
-        """Where it was at a time, s. After a silence of two seconds it is a place on its own."""
+        """It was there at a time, s: joined to the earlier places, unless it was silent for 2 s."""
         is_joined = at_s - self._heard_at_s <= _GAP_S
         self._heard_at_s = at_s
         new = Place(at_s, north_m, east_m, height_m, is_joined and bool(self._places))
@@ -148,7 +145,7 @@ def _apart(one: Place, other: Place) -> float:
     return math.hypot(other.north_m - one.north_m, other.east_m - one.east_m)
 
 
-class Home(NamedTuple):
+class HomePoint(NamedTuple):
     """A place of take-off: when, s, and where, degrees."""
 
     at_s: float
@@ -157,18 +154,12 @@ class Home(NamedTuple):
 
 
 class FlightPath:
-    """Where an aircraft flew and took off, live or recorded.
-
-    Attributes:
-        track: Metres over the first take-off, or over the first place before one.
-        homes: The places of take-off, in order.
-        frame: The plane of the track, which touches the earth there; None before any place.
-    """
+    """Where an aircraft flew and took off, live or recorded."""
 
     def __init__(self) -> None:
-        self.track = Track()
-        self.homes: list[Home] = []
-        self.frame: LocalFrame | None = None
+        self.track = Track()  #: metres over the first take-off, or over the first place before one
+        self.homes: list[HomePoint] = []  #: the places of take-off, in order
+        self.frame: LocalFrame | None = None  #: the plane of the track; None before any place
         self._is_off_ground = self._has_flown = False
         self._last: tuple[float, float] | None = None  # latitude and longitude, degrees
 
@@ -177,17 +168,17 @@ class FlightPath:
         if is_off_ground and not self._is_off_ground and self._last is not None:
             if not self.homes:  # what was noted before was noise of the place
                 self.frame, self.track = LocalFrame(*self._last), Track()
-            self.homes.append(Home(at_s, *self._last))
+            self.homes.append(HomePoint(at_s, *self._last))
         self._is_off_ground = is_off_ground
         self._has_flown |= is_off_ground
 
     @property
     def version(self) -> tuple[int, bool]:
-        """Another one when places that were told before are void."""
+        """Another one when the earlier places are void."""
         return self.track.thinned, bool(self.homes)
 
     def add(self, at_s: float, position: Position) -> tuple[float, float]:
-        """It is there, by a position with a fix; returns metres north and east in the track."""
+        """Add a position with a fix; returns metres north and east in the track."""
         self._last = position.latitude_deg, position.longitude_deg
         if self.frame is None:
             self.frame = LocalFrame(*self._last)
@@ -195,28 +186,21 @@ class FlightPath:
         self.track.add(at_s, north, east, position.height_m)
         return north, east
 
-    def home(self, at_s: float) -> Home | None:
-        """The take-off before a time, or else the one after it; None when neither was seen.
-
-        Of an aircraft that never flew it is where it stands.
-        """
+    def home(self, at_s: float) -> HomePoint | None:
+        """The take-off before a time, or else after it; where it stands, if it never flew."""
         known = [home for home in self.homes if home.at_s <= at_s] or self.homes[:1]
         if known or self._has_flown or self._last is None:
             return known[-1] if known else None
-        return Home(at_s, *self._last)
+        return HomePoint(at_s, *self._last)
 
     def points(self, since: int = 0) -> list[tuple[float, float, float, float, bool]]:
-        """The track without its first so many places, for a map.
-
-        Each is a time, s, latitude and longitude, degrees, a height, m, and whether it was flown
-        to from the one before.
-        """
-        if self.frame is None:
+        """The track without its first so many places, each with latitude and longitude, degrees."""
+        frame, places = self.frame, self.track.places(since)
+        if frame is None:
             return []
-        to_geodetic = self.frame.to_geodetic
         return [
-            (place.at_s, *to_geodetic(place.north_m, place.east_m), place.height_m, place.is_joined)
-            for place in self.track.places(since)
+            (at, *frame.to_geodetic(*place), height, is_joined)
+            for at, *place, height, is_joined in places
         ]
 
 
@@ -400,10 +384,9 @@ def read_story(
     Args:
         flight: The log.
         firmware: As for :meth:`FlightLog.samples`.
-        interval_s: Only so often are items and setpoints looked into, which is several times
-            faster. Packages are counted, and silences found, all the same.
-        listener: Called with each package and setpoint that is looked into, and with its time in s
-            after the beginning of the log.
+        interval_s: Look into items and setpoints only so often, which takes half the time. It
+            counts every package, and finds every silence.
+        listener: Called with the time, s after the beginning of the log, and package or setpoint.
     """
     story = FlightSummary(flight.path.name)
     first = next(flight.messages(), None)
@@ -556,7 +539,6 @@ class _SampleReader:
         self._interval_s, self._listener = interval_s, listener
         self._due_at, self._flags = -math.inf, 0  # items that were looked into since the last time
         self._alarms: list[Span] = []
-        self._landings: list[tuple[float, Span]] = []  # with when it had left the ground, s
         self.last_at: float | None = None
         self._longest_s = 0.0  # without a package so far; a longer one is looked into
         self._second = (0, 0)  # number, and packages in it
@@ -564,7 +546,6 @@ class _SampleReader:
         self._phases: list[tuple[float, str]] = []
         self._control: list[tuple[float, str]] = []
         self._ringing: dict[str, tuple[float, str]] = {}
-        self._left_ground_at: float | None = None
 
     def hear(self, at: float, sample: Sample) -> None:
         story, curves, most = self._story, self._story.curves, self._story.maxima
@@ -629,10 +610,10 @@ class _SampleReader:
         phase = "unknown" if status.phase is None else _PHASES[status.phase]
         if phase == self._phase:
             return
-        self._end_landing(at)
         if phase == "landing":
-            text = "the aircraft lands, and nobody here asked for it"
-            self._landings.append((self._left_ground_at or 0.0, Span("lands_itself", at, at, text)))
+            self._ring("lands_itself", True, at, "the aircraft lands, and nobody here asked for it")
+        elif self._phase == "landing":
+            self._ring("lands_itself", False, at, "")
         self._phase = phase
         self._phases.append((at, phase))
         path = self._story.path
@@ -640,20 +621,12 @@ class _SampleReader:
         path.hear_phase(at, is_off_ground=phase != "ground")
         if path.homes and not was_home_known:
             self._story.maxima.distance_m = 0.0
-        if phase == "ground":
-            self._left_ground_at = None
-        elif self._left_ground_at is None:
-            self._left_ground_at = at
 
-    def _end_landing(self, at: float) -> None:
-        if self._phase == "landing":
-            left_ground_at, span = self._landings[-1]
-            self._landings[-1] = left_ground_at, span._replace(end_s=at)
-
-    def _is_asked_down(self, left_ground_at: float, at: float) -> bool:
-        """Whether a command explains that it lands."""
+    def _is_asked_down(self, at: float) -> bool:
+        """Whether a command of this flight explains that it lands."""
+        stood = [since for since, phase in self._phases if phase == "ground" and since <= at]
         return any(
-            left_ground_at <= command.at_s <= at
+            (stood or [0.0])[-1] <= command.at_s <= at
             if command.arguments.get("task") in _WAYS_DOWN
             else command.at_s <= at and command.command in _MISSIONS
             for command in self._story.commands
@@ -697,15 +670,14 @@ class _SampleReader:
         story, most = self._story, self._story.maxima
         if self.last_at is not None:
             self._note_silence(self.last_at, story.duration_s)
-        self._end_landing(story.duration_s)
-        self._alarms += [
-            span
-            for left_ground_at, span in self._landings
-            if not self._is_asked_down(left_ground_at, span.begin_s)
-        ]
         for name in list(self._ringing):
             self._ring(name, False, story.duration_s, "")
-        story.alarms = sorted([*self._alarms, *story.alarms], key=lambda one: one.begin_s)
+        found = [  # a command may stand behind the package that shows its effect
+            span
+            for span in self._alarms
+            if span.name != "lands_itself" or not self._is_asked_down(span.begin_s)
+        ]
+        story.alarms = sorted([*found, *story.alarms], key=lambda one: one.begin_s)
         story.phases = _spans(self._phases, story.duration_s)
         story.control = _spans(self._control, story.duration_s) or story.control
         most.airborne_s = sum(

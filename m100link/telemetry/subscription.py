@@ -366,7 +366,7 @@ class TelemetryStream:
         self._ticks: dict[int, _Place | None] = {}  # where such packages have their tick, by flags
 
     def forget(self) -> None:
-        """What arrived is void: a recording goes on from another place."""
+        """Begin anew: a recording goes on from another place."""
         self.state.forget()
         self._clock = DeviceClock(self._clock.tick_hz)
 

@@ -239,8 +239,8 @@ def as_csv(names: Sequence[str], rows: Sequence[tuple[float, ...]]) -> str:
 
 
 # -- a recorded flight: one analysis of its file, from which a replay shows all that lasts ---------
-# A process of its own reads the file, once: two hours take seconds, in which pages are built. What
-# the file says at the place of the replay is then looked up. No clock of this computer is in it.
+# A process of its own reads the file, once: two hours take seconds, in which pages are built. Then
+# a page looks up the place of its replay. No clock of this computer is in it.
 
 COMMANDED = {
     "position.height_m": "commanded.height_m",
@@ -264,7 +264,7 @@ _OF_CURVES = {"line.packages_per_s": "packages_per_s", "line.round_trip_ms": "ro
 
 @dataclass
 class Recorded:
-    """What a file tells of its flight: times are s after the beginning of the log."""
+    """One flight by its file: times are s after the beginning of the log."""
 
     story: FlightSummary  # phases, alarms, commands, track
     times: array[float]  # of the rows

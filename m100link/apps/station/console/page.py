@@ -222,6 +222,7 @@ class Page:
                 plan=agent.plan,
                 events=tuple(agent.events),
                 flight=self._flight(),
+                flight_fault=self._context.history.fault,
                 link=agent.link,
                 front_lag=self._context.history.lag,
                 page_trip=tab.way.round_trip,

@@ -373,7 +373,7 @@ class PageContext:
 
     @property
     def history(self) -> PlotHistory:
-        """What its aircraft flew."""
+        """The history of its aircraft."""
         return self.history_of(self.tab.aircraft)
 
     def seek(self, utc: float) -> None:

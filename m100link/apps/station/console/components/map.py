@@ -47,7 +47,7 @@ class MapPart:
     def __init__(self, page: PageContext) -> None:
         self._page = page
         self._shown = Chart(None, ())
-        self._track: Any = None  # what was told of the track last
+        self._track: Any = None  # home, cursor and other flight that the page has
         self._version: Any = None  # of it, with how many of its places
         options = {"zoomControl": False, "attributionControl": False, "maxZoom": 22}
         with ui.element("div").props("id=map-frame"):
@@ -76,12 +76,12 @@ class MapPart:
             )
 
     def _update_track(self, view: ViewModel) -> None:
-        """Tell the places that the page does not have. The page itself keeps no track."""
+        """Send the places that the page does not have. It keeps no track of its own."""
         recorded, until = view.flight, None if view.flight is None else view.flight.at
         path = self._page.history.path if recorded is None else recorded.story.path
         version = id(path), path.version
-        before, told = self._version if self._version is not None else (None, 0)
-        sent = told if before == version else 0
+        before, count = self._version if self._version is not None else (None, 0)
+        sent = count if before == version else 0
         points = path.points(sent)
         self._version = version, sent + len(points)
         home = path.home(time.time() if until is None else until)

@@ -270,33 +270,26 @@ def chart(
             for n in stripes
         ],
         "series": [
-            {
-                "type": "line",
-                "name": labels[n],
-                "xAxisIndex": n,
-                "yAxisIndex": n,
-                "showSymbol": False,
-                "connectNulls": False,
-                "lineStyle": {"width": 1.5},
-                "color": _COLOURS[n % len(_COLOURS)],
-                "markArea": ground,
-                "data": [],
-            }
-            for n in stripes
-        ]
-        + [
-            {
-                "type": "line",
-                "name": speaker(name),
-                "xAxisIndex": n,
-                "yAxisIndex": n,
-                "showSymbol": False,
-                "lineStyle": {"width": 1, "type": "dashed"},
-                "color": "#888",
-                "data": [],
-            }
-            for n, name in beside
+            *(
+                _line(n, labels[n], _COLOURS[n % len(_COLOURS)], width=1.5) | {"markArea": ground}
+                for n in stripes
+            ),
+            *(_line(n, speaker(name), "#888", width=1, type="dashed") for n, name in beside),
         ],
+    }
+
+
+def _line(stripe: int, name: str, colour: str, **style: object) -> dict[str, Any]:
+    return {
+        "type": "line",
+        "name": name,
+        "xAxisIndex": stripe,
+        "yAxisIndex": stripe,
+        "showSymbol": False,
+        "connectNulls": False,
+        "lineStyle": style,
+        "color": colour,
+        "data": [],
     }
 
 

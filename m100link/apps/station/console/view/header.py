@@ -237,7 +237,10 @@ class ReplayView:
 _HERE_S = 1.0  # an alarm that began so short ago is the present one
 
 
-def replay_of(source: Replay | None, flight: RecordedFlight | None = None) -> ReplayView | None:
+def replay_of(
+    source: Replay | None, flight: RecordedFlight | None = None, fault: str = ""
+) -> ReplayView | None:
+    """The bar; ``fault``: why the file cannot be read."""
     if source is None:
         return None
     begins = [] if flight is None else [span.begin_s - flight.at for span in flight.story.alarms]
@@ -245,6 +248,8 @@ def replay_of(source: Replay | None, flight: RecordedFlight | None = None) -> Re
     after = min((one for one in begins if one > 0.05), default=None)
     when = time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime(source.utc))
     note = tr("replay.at_end") if source.is_at_end else None
+    if flight is None:
+        note = tr("replay.unread", why=fault) if fault else tr("replay.reading")
     if source.is_at_end and source.is_cut_off:
         note = tr("replay.cut_off")
     return ReplayView(

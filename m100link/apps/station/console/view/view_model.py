@@ -59,7 +59,7 @@ def view_of(inputs: Inputs, memory: Memory | None = None) -> ViewModel:
         status=header.status_line(memory.situation),
         problem=None if inputs.refusal is None else problem_text(inputs.refusal),
         alarms=alarms,
-        # What is past warns nobody.
+        # Nobody has to be warned of the past.
         sounding=None if memory.situation.is_replay else memory.alarms.sounding,
         checklist=checklist,
         instruments=fly.instruments_of(inputs),
@@ -69,7 +69,7 @@ def view_of(inputs: Inputs, memory: Memory | None = None) -> ViewModel:
         link=link_of(inputs),
         events=tuple(memory.diary.lines),
         fleet=header.fleet_of(inputs.fleet),
-        replay=header.replay_of(inputs.vehicle.state.replay, inputs.flight),
+        replay=header.replay_of(inputs.vehicle.state.replay, inputs.flight, inputs.flight_fault),
         flight=inputs.flight,
     )
 

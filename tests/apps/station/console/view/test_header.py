@@ -369,8 +369,22 @@ TOLD = Replay(
 )
 
 
+READ = RecordedFlight(FlightSummary("flight.mcap"), 65.0)
+
+
+@pytest.mark.parametrize(
+    ("fault", "note"),
+    [("", "the file is being read"), ("no MCAP", "the file cannot be read: no MCAP")],
+)
+def test_a_file_that_was_not_read_is_said_to_be(fault: str, note: str) -> None:
+    shown = replay_of(TOLD, None, fault)
+    assert shown is not None
+    assert shown.note is not None
+    assert SAY(shown.note) == note
+
+
 def test_the_bar_says_what_is_played_and_where_it_is() -> None:
-    shown = replay_of(TOLD)
+    shown = replay_of(TOLD, READ)
     assert shown is not None
     assert SAY(shown.title) == "REPLAY flight.mcap"
     assert SAY(shown.place) == "1:05 of 1:02:05, 2026-01-01 00:00:00 UTC"
@@ -388,7 +402,7 @@ def test_the_bar_says_what_is_played_and_where_it_is() -> None:
     ],
 )
 def test_one_that_stands_says_why(changes: dict[str, bool], note: str | None) -> None:
-    shown = replay_of(replace(TOLD, **changes))  # type: ignore[arg-type] # each is a bool
+    shown = replay_of(replace(TOLD, **changes), READ)  # type: ignore[arg-type] # each is a bool
     assert shown is not None
     assert not shown.is_running
     assert (None if shown.note is None else Translator()(shown.note)) == note
