@@ -301,11 +301,11 @@ class PlotsPart:
         names, speaker = self._names, self._page.wording.settings.speaker
         began, story = recorded.story.began_utc or 0.0, recorded.story
         twins = [(n, COMMANDED[name]) for n, name in enumerate(names) if name in COMMANDED]
-        beside = [(n, tr("plots.commanded")) for n, _ in twins]
+        beside = [(n, tr("plots.commanded"), "#888") for n, _ in twins]
         drawn = [*names, *(name for _, name in twins)]
         rows = recorded.between(drawn, *self._window, MOST_OF_WHOLE)
         if other is not None:
-            beside += [(n, tr("plots.other")) for n in range(len(names))]
+            beside += [(n, tr("plots.other"), "#00897b") for n in range(len(names))]
             shift = (other.story.took_off_s or 0.0) - (story.took_off_s or 0.0)
             rows = [(*row, *other.near(names, row[0] + shift)) for row in rows]
             drawn += names

@@ -384,8 +384,12 @@ class ReplayPart:
         self._title.set_text(said(shown.title))
         self._place.set_text(said(shown.place))
         self._note.set_text("" if shown.note is None else said(shown.note))
+        has_alarms = (shown.alarm_before, shown.alarm_after) != (None, None)
         for name, button in self._alarms.items():
-            button.set_visibility(getattr(shown, name) is not None)
+            button.set_visibility(has_alarms)
+            is_on = getattr(shown, name) is not None
+            if is_on is ("disabled" in button.props):  # a change goes to the page
+                button.props(remove="disabled") if is_on else button.props("disabled")
         others = [name for name in self._page.tabs.agents if name != self._page.tab.aircraft]
         if others and self._other.options != ["", *others]:
             self._other.set_options(["", *others])

@@ -223,14 +223,14 @@ def points(
 def chart(
     names: Sequence[str],
     speaker: Translator,
-    beside: Sequence[tuple[int, Text]] = (),
+    beside: Sequence[tuple[int, Text, str]] = (),
     spans: Sequence[tuple[float, float]] = (),
 ) -> dict[str, Any]:
     """The options of an ECharts chart: a stripe for each number, one time and one cursor for all.
 
     Its points come later, by ``static/instruments.js``: only what is new goes to the page.
-    ``beside``: lines in a stripe besides its number, and what they are called. ``spans``: between
-    these times, POSIX time in ms, each stripe has another ground: there was an alarm.
+    ``beside``: dashed lines in a stripe, with their names and colours. ``spans``: between these
+    times, POSIX time in ms, each stripe has another ground: there was an alarm.
     """
     stripes = range(len(names))
     ground = {
@@ -274,7 +274,7 @@ def chart(
                 _line(n, labels[n], _COLOURS[n % len(_COLOURS)], width=1.5) | {"markArea": ground}
                 for n in stripes
             ),
-            *(_line(n, speaker(name), "#888", width=1, type="dashed") for n, name in beside),
+            *(_line(n, speaker(one), colour, width=1, type="dashed") for n, one, colour in beside),
         ],
     }
 

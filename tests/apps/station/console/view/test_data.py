@@ -318,7 +318,7 @@ def test_a_part_of_a_recorded_flight_stays_while_the_cursor_is_in_it() -> None:
 
 def test_lines_beside_a_number_and_times_of_alarms_are_drawn_in_its_stripe() -> None:
     names = ["position.height_m", "velocity.up_m_s"]
-    drawn = chart(names, SAY, [(1, tr("plots.commanded"))], [(1000.0, 2000.0)])
+    drawn = chart(names, SAY, [(1, tr("plots.commanded"), "#888")], [(1000.0, 2000.0)])
     assert [one["yAxisIndex"] for one in drawn["series"]] == [0, 1, 1]
     assert drawn["series"][2]["name"] == "commanded"
     spans = [one.get("markArea", {}).get("data") for one in drawn["series"]]
