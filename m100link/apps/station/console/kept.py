@@ -255,7 +255,8 @@ COMMANDED = {
 }
 """Numbers that setpoints command, by the numbers that follow them."""
 
-INTERVAL_S = 0.2  # between packages that are looked into
+INTERVAL_S, LONG_INTERVAL_S = 0.2, 0.5  # between packages that are looked into
+LARGE = 20_000_000  # bytes of a file, about half an hour, from which on it is the longer one
 MOST_ROWS = 10_000  # of a recorded flight: with more, every second one is dropped
 _FLOWN_FOR_S = 0.5  # after a setpoint nothing is commanded any more
 _HOLE_S = 2.0
@@ -371,8 +372,10 @@ def analyse(path: str, firmware: str) -> Recorded | str:
     """Read a file, or return why it cannot be read. ``firmware``: name of the profile, or empty."""
     rows = _Rows(firmware)
     try:
+        flight = read(path)
+        interval_s = LONG_INTERVAL_S if flight.path.stat().st_size > LARGE else INTERVAL_S
         story = read_story(
-            read(path), firmware=firmware or None, interval_s=INTERVAL_S, listener=rows.hear
+            flight, firmware=firmware or None, interval_s=interval_s, listener=rows.hear
         )
     except M100Error as error:
         return error.seen
@@ -384,7 +387,8 @@ def analyse(path: str, firmware: str) -> Recorded | str:
 
 
 _CHILD = (
-    "import pickle, sys; from m100link.apps.station.console.kept import analyse; "
+    "import gc, pickle, sys; gc.disable(); "  # it makes no circles, and walks through many tuples
+    "from m100link.apps.station.console.kept import analyse; "
     "sys.stdout.buffer.write(pickle.dumps(analyse(*sys.argv[1:])))"
 )
 
