@@ -116,7 +116,7 @@ async def owning(
         replay: Replays | None = None
         if settings.url is not None and settings.url.startswith("replay://"):
             credentials, flights = None, None
-            replay = Replays(settings.url, settings.firmware, lambda text: tell(text, "info"))
+            replay = Replays(settings.url, settings.firmware)
             await replay.look()
             connect: Connect = replay.connect
         elif settings.sim:

@@ -152,7 +152,6 @@ class Agent:
 
     def _aircraft_changed(self, aircraft: Aircraft | None) -> None:
         if aircraft is not None and self.replay is not None:
-            self.background.spawn(self.replay.watch(aircraft), "replay")
             return
         version = self.connection.version
         if aircraft is None or version is None:

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 from m100link.aircraft import Aircraft
-from m100link.aircraft.aircraft import AuthorityEvent
 from m100link.aircraft.replaying import open_replay, parse_replay
 from m100link.apps.agent.messages import Replay
-from m100link.errors import M100Error, OnlyRecorded, UsageError
+from m100link.errors import OnlyRecorded, UsageError
 from m100link.log.player import FASTEST, SLOWEST, Begin, Player, ReplayedLink
 from m100link.protocol.firmware import profile
 
@@ -20,16 +18,14 @@ class Replays:
     Args:
         url: A ``replay://`` URL.
         firmware: Force a firmware profile.
-        note: Takes news for people.
 
     Raises:
         BadURL, UsageError: It cannot be.
     """
 
-    def __init__(self, url: str, firmware: str | None, note: Callable[[str], None]) -> None:
+    def __init__(self, url: str, firmware: str | None) -> None:
         self._url = parse_replay(url)
         self._firmware = None if firmware is None else profile(firmware)
-        self._note = note
         self._aircraft: Aircraft | None = None
         self._player: Player | None = None
         self._begin: Begin | None = None  # once it was looked at
@@ -57,16 +53,6 @@ class Replays:
         assert isinstance(aircraft.link, ReplayedLink)  # of a replay it is one
         self._player, self._aircraft = aircraft.link.player, aircraft
         return aircraft
-
-    async def watch(self, aircraft: Aircraft) -> None:
-        """Report the holders of control, as long as the aircraft is there."""
-        try:
-            async with aircraft.events() as events:
-                async for event in events:
-                    if isinstance(event, AuthorityEvent):
-                        self._note(f"recorded: control authority {event.after.value}")
-        except M100Error:
-            return  # it is over
 
     def progress(self) -> Replay | None:
         """Where it is; None before it plays."""

@@ -44,7 +44,7 @@ async def path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @asynccontextmanager
 async def station(url: str) -> AsyncIterator[tuple[Agent, AgentClient]]:
     """An agent that owns a recording, and a front of it."""
-    replays = Replays(url, None, lambda text: agent.journal.note(text))
+    replays = Replays(url, None)
     async with (agent := Agent(replays.connect, replay=replays)):
         service = AgentServer(agent)
         ours, its = memory_channels(as_bytes=True)
@@ -131,7 +131,7 @@ async def test_a_busy_computer_makes_nothing_old_and_a_seek_mixes_no_places(
 
 
 async def test_it_is_moved_stands_at_its_end_and_goes_on(path: Path) -> None:
-    async with station(f"replay://{path}") as (agent, client):
+    async with station(f"replay://{path}") as (_, client):
         for order, place in (("seek 10", 10.0), ("by -4", 6.0), ("by -100", 0.0), ("seek 8", 8.0)):
             await client.ask(orders.OrderReplay(order))
             await asyncio.sleep(0.3)
@@ -157,8 +157,6 @@ async def test_it_is_moved_stands_at_its_end_and_goes_on(path: Path) -> None:
         for wrong in ("", "rewind", "seek", "seek nan", "seek inf", "speed 0", "speed 1e9", "by x"):
             with pytest.raises(UsageError):
                 await client.ask(orders.OrderReplay(wrong))
-        texts = [event.text for event in agent.journal.events]
-        assert "recorded: control authority held" in texts
 
 
 async def test_it_is_played_twice_and_half_as_fast_within_limits(path: Path) -> None:
@@ -203,6 +201,6 @@ async def test_an_aircraft_is_not_moved_in_time() -> None:
 
 async def test_what_cannot_be_played_is_refused_before_anything_is_served(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="No such file"):
-        await Replays(f"replay://{tmp_path / 'none.mcap'}", None, print).look()
+        await Replays(f"replay://{tmp_path / 'none.mcap'}", None).look()
     with pytest.raises(UsageError):
-        Replays("replay://x?speed=0", None, print)
+        Replays("replay://x?speed=0", None)
