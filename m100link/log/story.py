@@ -379,7 +379,7 @@ def read_story(
     interval_s: float = 0.0,
     listener: Callable[[float, Sample | Message], None] | None = None,
 ) -> FlightSummary:
-    """Read a whole log, once; 6 s for an hour of flight at full rates.
+    """Read a whole log, once; 7 s of a processor for an hour of flight at full rates.
 
     Args:
         flight: The log.
