@@ -154,6 +154,8 @@ def test_a_notebook_shows_every_item_with_its_age(clock: Clock, state: AircraftS
     assert "<td>quaternion</td><td>q0 1, q1 0, q2 0, q3 0</td>" in html
     assert "<td>position</td><td></td><td>never</td>" in html
     assert html.count("<tr>") == 1 + len(ITEMS)
+    state.update(sample(100.0, velocity=(0.1234567, -2.0, 3.0)))
+    assert "0.123457, east_m_s -2, up_m_s 3, status None</td>" in state._repr_html_()
 
 
 @pytest.mark.parametrize("hertz", [1.0, 5.0, 100.0])
