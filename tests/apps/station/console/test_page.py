@@ -34,7 +34,9 @@ async def test_a_page_is_built_in_steps_between_which_everything_else_has_its_tu
 
     watching = asyncio.create_task(others())
     with client:
-        page = Page(rig.front, tab, None, has_tiles=False, history=PlotHistory(), tabs=tabs)
+        page = Page(
+            rig.front, tab, None, has_tiles=False, history_of=lambda _: PlotHistory(), tabs=tabs
+        )
         await page.build("key")
     watching.cancel()
     steps = [after - before for before, after in pairwise(built)]
