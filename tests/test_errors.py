@@ -75,7 +75,7 @@ def test_every_error_is_public_and_derives_from_one_base() -> None:
 
 # -- codes ----------------------------------------------------------------------------------------
 
-CLASSES = error_classes()
+CLASSES = sorted(error_classes(), key=lambda kind: kind.__name__)  # in any order of imports
 
 
 def test_all_classes_are_found_wherever_they_stand() -> None:

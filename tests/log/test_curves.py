@@ -111,8 +111,8 @@ def test_home_is_where_it_took_off_last_and_the_track_says_where_it_was() -> Non
         path.hear_phase(at, is_off_ground=is_off_ground)
         path.add(at, position(22.5 + north / 110_740.0, 113.9, height_m=at))
     homes = {at: path.home(at) for at in (0.0, 2.0, 5.9, 6.0, 9.0)}
-    north = {at: (home.latitude_deg - 22.5) * 110_740.0 for at, home in homes.items() if home}
-    assert north == pytest.approx({0.0: 0.1, 2.0: 0.1, 5.9: 0.1, 6.0: 20.0, 9.0: 20.0}, abs=0.01)
+    norths = {at: (home.latitude_deg - 22.5) * 110_740.0 for at, home in homes.items() if home}
+    assert norths == pytest.approx({0.0: 0.1, 2.0: 0.1, 5.9: 0.1, 6.0: 20.0, 9.0: 20.0}, abs=0.01)
     points = path.points()
     assert [(at, height, joined) for at, _, _, height, joined in points] == [
         (at, at, at > 2.0) for at in (2.0, 3.0, 4.0, 7.0)

@@ -299,7 +299,7 @@ class Replay:
     path: str  #: of the file, on the agent's computer
     utc: float  #: POSIX time of the flight that it shows, s
     clock: float  #: by which its telemetry is received, s
-    since: float  #: telemetry of an earlier time is void: it was moved since, s by that clock
+    since: float  #: s by that clock; telemetry from before it is void, since the replay was moved
     newest_at: float | None  #: when the newest package that was played was received, s
     position_s: float  #: seconds that were played
     duration_s: float  #: of the whole
