@@ -536,7 +536,7 @@ STATIONS: list[tuple[str, dict[str, dict[str, Any]], dict[str, Any]]] = [
     (
         "replay /x/a.mcap --from 60 --to 90.5 --speed 4",
         {"m100": {"url": "replay:///x/a.mcap?speed=4.0&from=60.0&to=90.5", "record": None}},
-        {"with_console": True, "open_browser": True, "keys": serve._keys},
+        {"with_console": True, "with_rosbridge": False, "open_browser": True, "keys": serve._keys},
     ),
     (
         "replay /x/a.mcap /x/2.mcap --speed max --no-open-browser",
@@ -544,7 +544,7 @@ STATIONS: list[tuple[str, dict[str, dict[str, Any]], dict[str, Any]]] = [
             "a": {"url": "replay:///x/a.mcap?speed=max&from=0.0"},
             "flight_2": {"url": "replay:///x/2.mcap?speed=max&from=0.0"},
         },
-        {"with_console": True, "open_browser": False, "keys": serve._keys},
+        {"with_console": True, "with_rosbridge": False, "open_browser": False, "keys": serve._keys},
     ),
 ]
 

@@ -25,6 +25,7 @@ from m100link.apps.agent import orders
 from m100link.apps.station.console.components import fly, header, plan, settings
 from m100link.apps.station.console.components.component import Buttons, PageContext, Wording
 from m100link.apps.station.console.components.map import ClickPart, MapPart
+from m100link.apps.station.console.kept import PlotHistory
 from m100link.apps.station.console.view import fly as view_of_fly
 from m100link.apps.station.console.view.alarms import ActiveAlarm, AlarmName, AlarmState
 from m100link.apps.station.console.view.fly import HELD
@@ -84,10 +85,11 @@ class Here:
             state=SimpleNamespace(guided=None, limits=SimpleNamespace(max_height_m=None)),
         )  # fmt: skip
         tab, agent = cast(Any, self.tab), cast(Any, self.agent)
+        history = PlotHistory()
         self.page = PageContext(
             agent, tab, None, Buttons(agent, tab, self.wording), Memory(), self.wording,
             cast(Any, SimpleNamespace(set_value=self._note("dark"))), self._async("show"),
-            False, cast(Any, None), cast(Any, SimpleNamespace()),
+            False, lambda _: history, cast(Any, SimpleNamespace(agents=())),
         )  # fmt: skip
 
     def _note(self, name: str) -> Callable[..., None]:
@@ -673,9 +675,9 @@ def test_the_map_shows_another_plan_once(here: Here) -> None:
     here.notes.clear()
     chart = SimpleNamespace(route=((1.0, 2.0),), fence={"radius": 3})
     for one in (chart, chart):
-        part.update(SimpleNamespace(chart=one))
-    [(_, code)] = here.notes
-    assert 'map.setChart([[1.0, 2.0]], {"radius": 3})' in code
+        part.update(SimpleNamespace(chart=one, flight=None))
+    [chart_code] = [code for _, code in here.notes if "setChart" in code]
+    assert 'map.setChart([[1.0, 2.0]], {"radius": 3})' in chart_code
 
 
 # -- a replay -------------------------------------------------------------------------------------
@@ -702,7 +704,13 @@ def test_a_replay_is_shown_where_it_is_unless_a_finger_moves_it(here: Here) -> N
     source = SimpleNamespace(duration_s=61.26, position_s=7.26, speed=2.0)
     view = SimpleNamespace(
         replay=SimpleNamespace(
-            title=said("a title"), place=said("a place"), note=None, is_running=True, source=source
+            title=said("a title"),
+            place=said("a place"),
+            note=None,
+            is_running=True,
+            source=source,
+            alarm_before=None,
+            alarm_after=None,
         )
     )
     part.update(SimpleNamespace(replay=None))
