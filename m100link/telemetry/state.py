@@ -220,7 +220,9 @@ class AircraftState(RecordViews):
         here_m = None if position is None else position.height_m
         moved_m = 0.0 if here_m is None or height_m is None else abs(here_m - height_m)
         is_whole = 0.0 <= now - newest <= FRESH_S[FlightStatus]
-        if moved_m > _STANDS_M or self._moves(now) or not is_whole:
+        moves = self._moves(now)
+        # A barometer is noisier than a velocity: it decides only where nothing else does.
+        if (moved_m > _STANDS_M if moves is None else moves) or not is_whole:
             count, since, height_m = 0, now, None
             if self.believed_status == status:
                 self.believed_status = None
@@ -230,11 +232,11 @@ class AircraftState(RecordViews):
         first_m = here_m if height_m is None else height_m
         self._standing = count + 1, since, now, first_m
 
-    def _moves(self, now: float) -> bool:
-        """Whether the velocity, where the aircraft vouches for one, is none of a stand."""
+    def _moves(self, now: float) -> bool | None:
+        """Whether the velocity is none of a stand; None where the aircraft vouches for none."""
         found = self.fresh(Velocity, within=STEER_S, now=now)
         if found is None or found.is_valid is False:
-            return False
+            return None
         return abs(found.up_m_s) > _STANDS_UP_M_S or found.ground_speed_m_s > _STANDS_M_S
 
     def _split(self, sample: Sample) -> tuple[_Cell, ...]:

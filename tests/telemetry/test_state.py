@@ -249,6 +249,21 @@ def test_a_height_that_changes_contradicts_where_no_velocity_comes(state: Aircra
     assert set(drifts) == {STANDS}
 
 
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("rate_hz", [1.0, 10.0, 50.0])
+def test_the_noise_of_a_barometer_keeps_no_motors_running(
+    state: AircraftState, rate_hz: float, seed: int
+) -> None:
+    """It stands by its velocity: a landing has ended, and the motors may be stopped, in time."""
+    chance, still = random.Random(seed), (0.05, -0.05, 0.1)
+    told(state, 100.0, LANDS)
+    for number in range(max(3, round(0.6 * rate_hz))):
+        place = (0.4, 2.0, 100.0, chance.gauss(0.0, 0.3), 5)
+        at = 100.1 + number / rate_hz
+        believed = told(state, at, STANDS, velocity=still, position=place)
+    assert believed == STANDS, f"seed {seed}"
+
+
 def test_a_silence_of_the_status_is_no_word_for_standing(state: AircraftState) -> None:
     told(state, 100.0, FLIES)
     assert [told(state, at, STANDS) for at in (101.0, 104.0, 107.0, 110.0)] == [FLIES] * 4
