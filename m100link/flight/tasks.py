@@ -376,13 +376,13 @@ def is_on_ground(state: AircraftState) -> bool | None:
 
 
 async def stands(state: AircraftState) -> bool | None:
-    """The same, after statuses that say so could become several."""
+    """The same, after statuses that say so could become several; None, too: it contradicts them."""
     clock = asyncio.get_running_loop().time
     until = clock() + _STANDS_WITHIN_S
     # No event tells of it, and a status that never becomes believed is an answer, too.
     while state.flight_status != state.believed_status and clock() < until:  # noqa: ASYNC110
         await asyncio.sleep(_SHOWN_POLL_S)
-    return is_on_ground(state)
+    return is_on_ground(state) if state.flight_status == state.believed_status else None
 
 
 async def switch_motors(commander: Commander, *, on: bool) -> None:
@@ -467,7 +467,7 @@ class Motors:
         if on_ground is None:
             raise TelemetryStalled(
                 "disarm was not sent: nobody knows whether the aircraft is on the ground",
-                cause="the flight status is not among the telemetry items, or old",
+                cause="the flight status is not sent, or old, or velocity or height contradicts it",
                 remedy="set_telemetry_rates(flight_status=10), or in the PC assistant",
             )
         if not on_ground:

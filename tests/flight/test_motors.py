@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 
 import pytest
 
@@ -23,6 +23,7 @@ from m100link.flight.stop_path import StopAction
 from m100link.protocol.codes import ArmCode
 from m100link.protocol.commands.control import Arm
 from m100link.sim import AircraftSettings, AssistantSettings
+from m100link.sim.vehicle.sensors import Sensors
 from tests.rig import NORTH, Rig, put_in_the_air, rig
 
 pytestmark = pytest.mark.anyio
@@ -106,6 +107,34 @@ async def test_when_nobody_knows_whether_it_flies_no_disarm_is_sent() -> None:
         with pytest.raises(TelemetryStalled, match="nobody knows"):
             await control.disarm()
         assert arms(flown) == [(True, 0)]
+
+
+async def test_a_stand_that_the_velocity_contradicts_is_no_flight(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """An operator beside it hears why the motors run on, and not that it is in the air."""
+    for item, wrong in (
+        ("flight_status", (FlightPhase.STANDBY,)),
+        ("velocity", (0.0, 0.0, 0.9, 7)),
+    ):
+        read = getattr(Sensors, f"_read_{item}")
+
+        def told(
+            sensors: Sensors, read: Callable[[Sensors], object] = read, wrong: object = wrong
+        ) -> object:
+            return wrong if lies else read(sensors)
+
+        monkeypatch.setattr(Sensors, f"_read_{item}", told)
+    lies = False
+    async with rig(firmware="3.1") as flown, flown.aircraft.control(stop="land") as control:
+        await control.take_off()
+        lies = True
+        await asyncio.sleep(0.5)
+        with pytest.raises(TelemetryStalled, match="nobody knows") as raised:
+            await control.disarm()
+        lies = False
+        assert "velocity or height contradicts it" in raised.value.cause
+        assert arms(flown) == []
 
 
 async def test_without_authority_nothing_is_sent(flown: Rig) -> None:

@@ -115,8 +115,8 @@ async def require_airborne(
     on_ground = await stands(state)
     if on_ground is None:
         raise TelemetryStalled(
-            f"{what} was asked for, and the flight status does not arrive",
-            cause="the item is not sent, or the line is broken",
+            f"{what} was asked for, and nobody knows whether the aircraft is on the ground",
+            cause="the flight status is not sent, or velocity or height contradicts it",
             remedy="set the item to 1 Hz or more in the PC assistant",
         )
     # Started on the ground it may take off by itself, as DJI's sample does: by name alone.
