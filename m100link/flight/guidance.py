@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import math
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -144,6 +143,8 @@ class _Stillness:
         self._state = state
         self._since: float | None = None
         self._from: _Pose = None, None
+        self._way = 0j  # that velocity setpoints have asked for since then, m north and east
+        self._looked_at = 0.0
 
     def is_too_long(
         self, now: float, slack: float, setpoint: Setpoint, found: GuidanceProgress
@@ -155,11 +156,13 @@ class _Stillness:
         )
         here = known(self._state, Position), known(self._state, Attitude)
         if self._since is None or not is_asked or _has_moved(self._from, here):
-            self._since, self._from = now, here
-        speed = math.hypot(setpoint.x, setpoint.y)
-        is_slow = setpoint.mode.horizontal is Horizontal.VELOCITY and speed > 0.0
-        # A slow flight needs its time for a metre.
-        return now - self._since >= slack + max(_STILL_S, _ASKED_M / speed if is_slow else 0.0)
+            self._since, self._from, self._way, self._looked_at = now, here, 0j, now
+        if setpoint.mode.horizontal is Horizontal.VELOCITY:
+            self._way += complex(setpoint.x, setpoint.y) * (now - self._looked_at)
+        self._looked_at = now
+        # A slow flight needs its time for a metre, and corrections to and fro are no way.
+        is_slow = 0.0 < abs(self._way) < _ASKED_M
+        return not is_slow and now - self._since >= slack + _STILL_S
 
 
 def _has_moved(before: _Pose, after: _Pose) -> bool:

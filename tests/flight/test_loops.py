@@ -720,6 +720,15 @@ async def test_the_same_loops_arrive_through_noise_and_gusts(what: str) -> None:
         await SMALL_DEMANDS[what](control)
 
 
+async def test_corrections_of_a_slow_flight_are_no_demand() -> None:
+    """5 cm a second through noise, whose corrections ask for 20 cm a second to and fro."""
+    settings = AircraftSettings(wind_north=4.0, wind_east=2.0, gusts=1.0, noise=1.0)
+    async with rig(settings=settings) as flown, flown.aircraft.control() as control:
+        await control.take_off()
+        with pytest.raises(NotObserved, match="within 15 s"):
+            await control.fly_path([(5.0, 0.0, 1.2)], speed=0.05, timeout=15.0)
+
+
 async def test_a_flight_of_10_cm_a_second_takes_its_time() -> None:
     async with rig() as flown, flown.aircraft.control() as control:
         await control.take_off()
