@@ -131,8 +131,6 @@ class _Settling:
 _STILL_S = 6.0  # for so long nothing may move while more than this is missing
 _ASKED_M, _ASKED_UP_M, _ASKED_DEG = 1.0, 0.5, 6.0
 _MOVED_M, _MOVED_UP_M, _MOVED_DEG = 0.5, 0.3, 3.0  # more than sensors wander in that time
-
-
 _Pose = tuple[Position | None, Attitude | None]
 
 
@@ -143,8 +141,7 @@ class _Stillness:
         self._state = state
         self._since: float | None = None
         self._from: _Pose = None, None
-        self._way = 0j  # that velocity setpoints have asked for since then, m north and east
-        self._looked_at = 0.0
+        self._looked_at, self._way = 0.0, 0j  # that velocities have led since, m north and east
 
     def is_too_long(
         self, now: float, slack: float, setpoint: Setpoint, found: GuidanceProgress
@@ -161,8 +158,7 @@ class _Stillness:
             self._way += complex(setpoint.x, setpoint.y) * (now - self._looked_at)
         self._looked_at = now
         # A slow flight needs its time for a metre, and corrections to and fro are no way.
-        is_slow = 0.0 < abs(self._way) < _ASKED_M
-        return not is_slow and now - self._since >= slack + _STILL_S
+        return now - self._since >= slack + _STILL_S and not 0.0 < abs(self._way) < _ASKED_M
 
 
 def _has_moved(before: _Pose, after: _Pose) -> bool:

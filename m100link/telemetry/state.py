@@ -226,10 +226,9 @@ class AircraftState(RecordViews):
             count, since, height_m = 0, now, None
             if self.believed_status == status:
                 self.believed_status = None
-        if count + 1 >= _STANDS_SAMPLES and now - since >= _STANDS_S:
-            self.believed_status = status
-            here_m = height_m = None  # a barometer drifts for as long as it stands
         first_m = here_m if height_m is None else height_m
+        if count + 1 >= _STANDS_SAMPLES and now - since >= _STANDS_S:
+            self.believed_status, first_m = status, None  # a barometer drifts while it stands
         self._standing = count + 1, since, now, first_m
 
     def _moves(self, now: float) -> bool | None:
