@@ -22,7 +22,6 @@ from m100link.protocol.records import FlightPhase, FlightStatus
 
 _logger = logging.getLogger(__name__)
 
-
 StopAction = Literal["hover", "land"]  # what the stop path does after the neutral setpoint
 
 _LANDING_DEADLINE_S = 60.0
@@ -226,13 +225,14 @@ class StopPath:
         """Blades that were started and never flew do not run on with nobody to answer for them."""
         if not self._is_armed or not self._has_authority or not self._life.plan.neutral:
             return
-        # A status from before it could leave the ground proves nothing: a newer one is waited for.
-        deadline = self._clock() + 2 * _LEAVES_THE_GROUND_S + self._slack_s
-        while is_on_ground(self._commander.state) and self._may_be_airborne():
-            if self._clock() >= deadline:
-                break
+        # A status from before it could leave the ground proves nothing: time has to pass.
+        state = self._commander.state
+        until = self._clock() + 2 * _LEAVES_THE_GROUND_S + self._slack_s
+        while is_on_ground(state) and self._may_be_airborne() and self._clock() < until:  # noqa: ASYNC110
             await asyncio.sleep(_STATUS_POLL_S)
-        if not await self._stands() or not is_on_ground(self._commander.state):
+        if not await self._stands() or not is_on_ground(state):
+            if state.flight_status is None or state.flight_status.status == FlightPhase.STANDBY:
+                _logger.error("the motors were not stopped: nobody knows whether it stands")
             return  # in the air nothing of the kind is ever sent
         try:
             await switch_motors(self._commander, on=False)

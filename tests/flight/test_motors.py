@@ -225,7 +225,7 @@ async def test_what_has_lifted_off_is_never_disarmed(
 @pytest.mark.parametrize("stop", ["hover", "land"])
 @pytest.mark.parametrize("was_there", [False, True])
 async def test_at_the_end_no_disarm_is_sent_when_nobody_knows_whether_it_flies(
-    stop: StopAction, was_there: bool
+    stop: StopAction, was_there: bool, caplog: pytest.LogCaptureFixture
 ) -> None:
     """No setpoint lifted it; somebody by the remote control may have."""
     async with rig(firmware="3.1") as flown:
@@ -239,6 +239,7 @@ async def test_at_the_end_no_disarm_is_sent_when_nobody_knows_whether_it_flies(
         assert arms(flown) == [(True, 0)]
         assert flown.is_running
         assert flown.is_released
+    assert "the motors were not stopped: nobody knows whether it stands" in caplog.text
 
 
 async def test_the_taker_of_the_aircraft_has_the_motors_too(flown: Rig) -> None:
