@@ -20,7 +20,7 @@ import pytest
 from m100link import Aircraft, Credentials, connect
 from m100link.apps.cli.connection import exit_status
 from m100link.apps.doctor import Finding, Stage, Verdict, diagnose
-from m100link.apps.doctor.diagnosis import _firmware
+from m100link.apps.doctor.diagnosis import _activation, _firmware
 from m100link.apps.doctor.line import look_at_line
 from m100link.errors import BadURL, UsageError
 from m100link.link.url import parse_url
@@ -289,3 +289,14 @@ def test_three_packages_that_do_not_fit_are_another_firmware(
     version = SimpleNamespace(profile=PROFILES["2.3"])
     told = _firmware(cast(Any, aircraft), cast(Any, version), is_forced=True)
     assert (told.stage, told.verdict) == (Stage.FIRMWARE, verdict)
+
+
+@pytest.mark.parametrize(
+    ("is_activated", "verdict"), [(True, Verdict.GOOD), (False, Verdict.FAILED)]
+)
+async def test_without_credentials_the_version_answer_says_whether_it_is_activated(
+    is_activated: bool, verdict: Verdict
+) -> None:
+    version = SimpleNamespace(is_activated=is_activated)
+    told = await _activation(cast(Any, SimpleNamespace()), cast(Any, version), None)
+    assert (told.stage, told.verdict) == (Stage.ACTIVATION, verdict)

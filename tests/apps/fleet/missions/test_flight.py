@@ -203,3 +203,12 @@ async def test_a_plan_that_the_guards_refuse_flies_nothing_and_says_why(rig: Rig
                 pass
     assert one.height < 0.1
     assert one.fleet_agent.missions.stage in (MissionStage.OVER, MissionStage.NONE)
+
+
+async def test_on_the_ground_a_mission_without_take_off_is_refused(rig: Rig) -> None:
+    one = await on_board(rig)
+    async with (await rig.pilot())["a1"].control() as control:
+        with pytest.raises(M100Error, match="on the ground"):
+            async with control.waypoint_mission(away(one, 20, 60), take_off=False):
+                pass
+    assert one.height < 0.1
