@@ -137,6 +137,11 @@ async def test_the_status_is_reported_at_each_change(rig: Rig, program: Program)
     assert "take off" in {one["task"] for one in said}
 
 
+async def test_a_status_that_does_not_change_is_reported_once_a_second(rig: Rig) -> None:
+    _, sent = await told(rig, 10.0)
+    assert 9 <= len(sent["~/flight_status"]) <= 11
+
+
 async def test_events_are_in_rosout_those_before_the_node_too(rig: Rig, program: Program) -> None:
     await program.call("~/obtain_control")
     said = rig.said("/rosout")
