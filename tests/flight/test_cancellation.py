@@ -83,6 +83,18 @@ async def test_work_that_is_cancelled_itself_is_begun_again() -> None:
     assert (work.begun, work.done, work.ended) == (3, 1, 1)
 
 
+async def test_a_cancellation_comes_out_even_if_the_work_was_begun_again_since() -> None:
+    before = asyncio.all_tasks()
+    work = Work()
+    task = work.shielded.begin()
+    await asyncio.sleep(0.5)
+    for one in asyncio.all_tasks() - before:
+        one.cancel()
+    await asyncio.wait([task])
+    assert task.cancelled()
+    assert (work.begun, work.done, work.ended) == (2, 1, 1)
+
+
 async def test_its_caller_sees_it_cancelled_when_the_work_is_done() -> None:
     work = Work()
     task = work.shielded.begin()

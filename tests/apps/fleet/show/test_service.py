@@ -93,6 +93,18 @@ async def test_where_it_stands_is_reported_with_every_answer(asked: Conductor) -
     assert reply.clock == pytest.approx(anyio.current_time(), abs=0.1)
 
 
+@pytest.mark.parametrize(
+    ("is_landing", "told"), [(True, ShowStage.FLYING), (False, ShowStage.FLOWN)]
+)
+async def test_a_show_is_flown_when_its_landing_has_ended(
+    asked: Conductor, monkeypatch: pytest.MonkeyPatch, is_landing: bool, told: ShowStage
+) -> None:
+    performer = asked.service.performer
+    performer.stage = ShowStage.FLOWN
+    monkeypatch.setattr(type(performer), "is_landing", property(lambda _: is_landing))
+    assert stage(await asked.order(AskShow(""))) is told
+
+
 async def test_an_order_that_the_network_brings_twice_is_done_once(asked: Conductor) -> None:
     await asked.order(PIECE, 4)
     await asked.order(LOAD, 1)
