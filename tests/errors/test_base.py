@@ -63,3 +63,16 @@ def test_every_other_error_stays_what_it_is(error: Exception) -> None:
     with pytest.raises(type(error)) as caught, of_the_system("control"):
         raise error
     assert caught.value is error
+
+
+def test_of_two_bases_the_default_of_the_first_holds_as_for_attributes() -> None:
+    class First(M100Error):
+        limit: int = 1
+
+    class Second(M100Error):
+        limit: int = 2
+
+    class Both(First, Second):
+        pass
+
+    assert Both("seen").limit == Both.limit == 1

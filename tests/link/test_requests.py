@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from types import SimpleNamespace
 from typing import Any, assert_type, cast
 
 import pytest
@@ -15,6 +16,7 @@ from m100link import (
     KeyRejected,
     LevelTooLow,
     LineBlocked,
+    SilentLine,
     UsageError,
 )
 from m100link.link.requests import Requests
@@ -29,6 +31,7 @@ from m100link.protocol import (
     TaskResultCode,
     Version,
 )
+from m100link.protocol.codes import VersionCode
 from m100link.protocol.commands.control import Arm, QueryTask
 from m100link.protocol.commands.gimbal import GimbalAngle, TakePhoto
 from m100link.protocol.commands.hotpoint import (
@@ -47,6 +50,7 @@ from m100link.protocol.commands.waypoint import (
     WaypointSetIdleSpeed,
     WaypointStartStop,
 )
+from m100link.protocol.firmware import PROFILES
 from m100link.sim import VirtualClockEventLoop
 from tests.rig import FIRMWARES, rig
 
@@ -240,3 +244,37 @@ async def what_mypy_refuses(aircraft: Aircraft, requests: Requests) -> None:
     aircraft.push(GetVersion())  # type: ignore[arg-type]  # its answer would be lost
     requests.push(Arm(on=True))  # type: ignore[arg-type]  # the same
     requests.push(AuthorityChanged())  # type: ignore[arg-type]  # not ours to send
+
+
+async def test_no_version_answer_changes_the_firmware_that_flies() -> None:
+    """The newest one chooses again when the control block has ended."""
+    requests = Requests(cast(Any, SimpleNamespace()))
+    for firmware in ("3.1", "2.3"):
+        profile = PROFILES[firmware]
+        serial = "041" if profile.has_serial else None
+        requests.version = Version(VersionCode.ACTIVATED, 0, profile.version_name, serial)
+        requests._choose_firmware(requests.version)
+        assert requests.firmware is PROFILES["3.1"]
+        requests.fix_firmware()
+    requests.free_firmware()
+    assert requests.firmware is PROFILES["2.3"]
+
+
+@pytest.mark.parametrize(("is_serial", "seconds"), [(True, 3.0), (False, 8.0)])
+async def test_an_aircraft_that_is_not_heard_is_waited_for_longer_on_a_network(
+    monkeypatch: pytest.MonkeyPatch, is_serial: bool, seconds: float
+) -> None:
+    heard = SimpleNamespace(bytes_received=0, frames_received=0, discarded_bytes=0)
+    link = SimpleNamespace(is_serial=is_serial, name="line", statistics=lambda: heard)
+    requests = Requests(cast(Any, link))
+
+    async def unanswered(**_: object) -> Version:
+        await asyncio.sleep(60.0)
+        raise AssertionError
+
+    monkeypatch.setattr(requests, "query_version", unanswered)
+    loop = asyncio.get_running_loop()
+    begun_at = loop.time()
+    with pytest.raises(SilentLine):
+        await requests.find_aircraft(None)
+    assert loop.time() - begun_at == pytest.approx(seconds, abs=0.1)

@@ -6,6 +6,7 @@ import asyncio
 import json
 import random
 import struct
+import time
 from itertools import pairwise
 from typing import Any
 
@@ -13,7 +14,7 @@ import pytest
 from websockets.asyncio.client import ClientConnection
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
-from m100link.apps.station.foxglove import FoxgloveChannel, Viewer
+from m100link.apps.station.foxglove import FoxgloveChannel, FoxgloveServer, Viewer
 from m100link.apps.station.run import RunningStation
 from tests.apps.station.web.test_server import TOKEN, station
 from tests.sockets import connect
@@ -245,3 +246,8 @@ async def talk_without_end(socket: ClientConnection) -> None:
     while True:
         await socket.send("{}")
         await asyncio.sleep(0)
+
+
+async def test_stamps_are_posix_time() -> None:
+    stamp = FoxgloveServer({})._feed._stamp(asyncio.get_running_loop().time())
+    assert stamp["sec"] == pytest.approx(time.time(), abs=5.0)
