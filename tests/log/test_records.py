@@ -5,12 +5,13 @@ from __future__ import annotations
 import io
 import itertools
 import random
+import struct
 from pathlib import Path
 
 import pytest
 
 from m100link.log import read, recorder, recover
-from m100link.log.records import RawMessage, records
+from m100link.log.records import RawMessage, _unpacked, records
 from tests.log.flight import fly
 
 pytestmark = pytest.mark.anyio
@@ -167,3 +168,14 @@ async def test_cuts_anywhere_lose_no_part_that_is_whole(whole: bytes) -> None:
         done = sum(end <= length for _, end in found)
         assert len(kept) == (counts[done - 1] if done else 0)
         assert kept == every[: len(kept)]
+
+
+@pytest.mark.parametrize(("size", "is_whole"), [(4, True), (5, False), (3, False)])
+def test_a_part_without_checksum_is_whole_by_its_size(size: int, is_whole: bool) -> None:
+    """MCAP: a checksum of 0 is none, and the size is that of the records, uncompressed."""
+    body = struct.pack("<QQQII", 0, 0, size, 0, 0) + struct.pack("<Q", 4) + b"abcd"
+    if is_whole:
+        assert _unpacked(body) == b"abcd"
+    else:
+        with pytest.raises(ValueError, match="checksum"):
+            _unpacked(body)

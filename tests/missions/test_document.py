@@ -145,6 +145,8 @@ def test_what_is_not_understood_is_refused_by_its_name(
     error = refusal(text)
     assert error.field == field
     assert any(word in error.seen for word in words.split("|")), error.seen
+    if words.startswith("waypoint "):
+        assert error.point == int(words.split()[1].rstrip(":"))
 
 
 # -- plans in files: which kind they are, and what cannot be read or written -----------------------

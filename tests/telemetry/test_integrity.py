@@ -11,7 +11,7 @@ import pytest
 from m100link.protocol import encode_telemetry, profile
 from m100link.protocol.firmware import FirmwareProfile
 from m100link.protocol.packet import telemetry_size
-from m100link.telemetry.integrity import Integrity, IntegrityState
+from m100link.telemetry.integrity import GATE_M, Integrity, IntegrityMonitor, IntegrityState, _Fix
 from m100link.telemetry.sample import Sample
 from m100link.telemetry.state import AircraftState
 
@@ -608,3 +608,14 @@ def test_a_place_is_believed_again_after_three_seconds() -> None:
     assert flight.fly(0.1).state is S.JUMPED
     assert flight.fly(2.8).state is S.JUMPED
     assert flight.fly(0.3).state is S.GOOD
+
+
+@pytest.mark.parametrize(("epoch", "allowed_m"), [(0, 3.5), (-1, 13.5)])
+def test_where_only_arrivals_tell_the_time_a_second_of_flight_more_is_allowed(
+    epoch: int, allowed_m: float
+) -> None:
+    """North 10 m/s for 1 s at up to 7 m/s2, and 2 m from where that leads."""
+    monitor = IntegrityMonitor(lambda _: None, lambda: None, None)
+    monitor._joint = _Fix(0.0, epoch, 0.0, 0.0, 20.0, (10.0, 0.0, 0.0))
+    monitor._innovate(_Fix(1.0, epoch, 12.0 / EARTH_M, 0.0, 20.0, (10.0, 0.0, 0.0)), 1.0)
+    assert monitor._ratio == pytest.approx(2.0 / (GATE_M + allowed_m), rel=1e-3)
