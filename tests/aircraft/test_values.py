@@ -298,7 +298,7 @@ def test_an_axis_that_is_not_named_keeps_its_angle(given: dict[str, Any], mode: 
 async def test_angles_are_shown_when_telemetry_says_so_after_they_were_sent(
     pitch: float, shown: tuple[float, float, float], is_there: bool
 ) -> None:
-    """Of an item of before nobody knows; three seconds more than the turn are waited for."""
+    """Nobody knows the age of an earlier item; the wait is three seconds longer than the turn."""
     requests: Any = MagicMock(send=AsyncMock())
     requests.latency.slack_s = 0.75
     telemetry: Any = MagicMock()

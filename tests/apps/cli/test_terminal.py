@@ -149,7 +149,7 @@ def test_data_that_a_full_disk_does_not_take_are_an_error_of_the_command() -> No
 
 @pytest.mark.parametrize("closed", [">&-", "<&- >&- 2>&-"])
 def test_streams_that_were_closed_before_it_began_end_no_command(closed: str) -> None:
-    """As a service or a script may start it: a landing was not ordered, and nobody was told."""
+    """As a service or a script may start it: it ordered no landing, and reported nothing."""
     command = f'exec "$0" -m m100link decode --table {FRAME} {closed}'
     done = subprocess.run(
         ["sh", "-c", command, sys.executable],

@@ -50,7 +50,7 @@ UNANSWERED = errors.AckTimeout("no answer")
 
 
 class Agent:
-    """An agent, the session with it, the world, and the manager: what each was told, in order."""
+    """Stand-ins for agent, session, world and manager, which note their calls in order."""
 
     def __init__(self) -> None:
         self.log: list[tuple[Any, ...]] = []
@@ -345,7 +345,7 @@ async def test_at_the_end_nothing_flies_on_and_control_goes_back(agent: Agent) -
 
 
 class Flights:
-    """The mission as a flight: what the manager and the stations are told."""
+    """The mission as a flight: the calls of the manager, and messages to the stations."""
 
     def __init__(self, flight: FlightSequence | None = BY_AIRCRAFT) -> None:
         self.told: list[Any] = []

@@ -494,7 +494,7 @@ async def test_what_a_change_of_the_lease_ends_and_says(
     assert holding.let_go.called is is_kept
 
 
-# -- what fronts are told --------------------------------------------------------------------------
+# -- messages to fronts ----------------------------------------------------------------------------
 
 STATISTICS = LinkStatistics(
     bytes_received=1001,

@@ -46,7 +46,7 @@ Told = tuple[str, int, int]
 
 
 class Uploads:
-    """The mission protocol, two stations, and what they were told."""
+    """The mission protocol, two stations, and the messages that they received."""
 
     def __init__(self) -> None:
         self.refusals: dict[int, str] = {}  # of changes, by the kind of list
@@ -491,7 +491,7 @@ def test_limits_of_the_agent_are_parameters(name: str, field: str, value: float)
 
 
 def passes(one: MavlinkVehicle, at: float) -> list[tuple[str, int]]:
-    """What everybody is told at a time, but for telemetry: names, and modes or results."""
+    """The messages to everybody at a time, but for telemetry: names, and modes or results."""
     one.outbox.clear()
     one.advance(at, {}, lambda *_: False)
     found = []
