@@ -22,9 +22,9 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 from cryptography.hazmat.primitives.hashes import SHA256
 
-from m100link.apps.agent.orders import Halt, Right, Stop
+from m100link.apps.agent.orders import Halt, LeaseOrder, Right, Stop
 from m100link.apps.fleet.keys import NAME
-from m100link.apps.fleet.payloads import OrderMessage
+from m100link.apps.fleet.payloads import OrderMessage, StartShow, TakePlace
 from m100link.errors import NotAllowed, UsageError
 from m100link.errors.texts import read_json, read_toml
 from m100link.link.keyfile import read_watched
@@ -310,7 +310,7 @@ STOP_WINDOW_S = 600.0
 """The same for what stops: a wrong clock must keep nobody from stopping an aircraft. A recorded
 stop that somebody repeats in that time stops it once more, which is a nuisance and not a danger.
 A calendar may be wrong by years, as where it has no battery, or be set in flight: the agent's own
-clock will do, whose time an order says, with the run of the agent that shows it."""
+clock will do for all that moves nothing, with the run of the agent that shows it."""
 
 _PURGED_AT = 1024
 
@@ -472,15 +472,15 @@ class Gate:
 
     def _require_fresh(self, order: OrderMessage, now: float, clock: float, boot: str) -> float:
         """Until when it could come again, POSIX time."""
-        is_stop = order.order.right is Right.STOP
+        asked, is_stop = order.order, order.order.right is Right.STOP
         its = order.clock or math.nan  # 0 is no time
-        # Another run of the agent may have shown the same time: the computer restarted.
-        is_this_run = bool(boot) and order.boot == boot
-        is_known = is_this_run or isinstance(order.order, Stop | Halt)
-        if is_known and abs(clock - its) <= WINDOW_S:
+        # A restart shows the same time again, and a router a later one: movements need the calendar.
+        moves = isinstance(asked, TakePlace | StartShow) or getattr(asked, "moves", False)
+        is_safe = not moves or isinstance(asked, LeaseOrder) or getattr(asked, "ends", False)
+        is_this_run = is_safe and bool(boot) and order.boot == boot
+        if (is_this_run or isinstance(asked, Stop | Halt)) and abs(clock - its) <= WINDOW_S:
             return max(now, order.at) + STOP_WINDOW_S
-        window = STOP_WINDOW_S if is_stop else WINDOW_S
-        age = now - order.at
+        age, window = now - order.at, STOP_WINDOW_S if is_stop else WINDOW_S
         is_before = not is_stop and order.at < self._began_at
         if not abs(age) <= window or is_before:
             seen = f"{age:.1f} s old" if age >= 0 else f"from {-age:.1f} s ahead"
