@@ -474,7 +474,7 @@ class Gate:
         """Until when it could come again, POSIX time."""
         asked, is_stop = order.order, order.order.right is Right.STOP
         its = order.clock or math.nan  # 0 is no time
-        # A restart shows the same time again, and a router a later one: movements need the calendar.
+        # A restart shows the same time again, a router a later one: movements need the calendar.
         moves = isinstance(asked, TakePlace | StartShow) or getattr(asked, "moves", False)
         is_safe = not moves or isinstance(asked, LeaseOrder) or getattr(asked, "ends", False)
         is_this_run = is_safe and bool(boot) and order.boot == boot

@@ -195,20 +195,17 @@ async def test_a_stranger_ends_no_mission_by_telling_that_it_is_over(rig: Rig) -
             assert (await pilot["a1"].mission()).stage is MissionStage.FLYING
 
 
-async def test_a_plan_that_the_guards_refuse_flies_nothing_and_says_why(rig: Rig) -> None:
+@pytest.mark.parametrize(
+    ("north", "take_off", "why"),
+    [(300, True, "the envelope ends at 150 m"), (60, False, "on the ground")],
+)
+async def test_a_plan_that_is_refused_flies_nothing_and_says_why(
+    rig: Rig, north: float, take_off: bool, why: str
+) -> None:
     one = await on_board(rig)
     async with (await rig.pilot())["a1"].control() as control:
-        with pytest.raises(M100Error, match="the envelope ends at 150 m"):
-            async with control.waypoint_mission(away(one, 20, 300), take_off=True):
+        with pytest.raises(M100Error, match=why):
+            async with control.waypoint_mission(away(one, 20, north), take_off=take_off):
                 pass
     assert one.height < 0.1
     assert one.fleet_agent.missions.stage in (MissionStage.OVER, MissionStage.NONE)
-
-
-async def test_on_the_ground_a_mission_without_take_off_is_refused(rig: Rig) -> None:
-    one = await on_board(rig)
-    async with (await rig.pilot())["a1"].control() as control:
-        with pytest.raises(M100Error, match="on the ground"):
-            async with control.waypoint_mission(away(one, 20, 60), take_off=False):
-                pass
-    assert one.height < 0.1
