@@ -11,7 +11,7 @@ from typing import Any, Protocol
 from nicegui import events, ui
 from nicegui.events import GenericEventArguments
 
-from m100link.apps.agent.client import AgentClient
+from m100link.apps.agent.client import PRESSED_AT, AgentClient
 from m100link.apps.agent.orders import ChangeHeight, OrderReplay, TakeOff
 from m100link.apps.station.console.kept import PlotHistory
 from m100link.apps.station.console.orders import SimulatorOrders
@@ -385,9 +385,7 @@ class PageContext:
             self.agent.background.spawn(self.tab.attempt(lambda: work), "seek")
 
     async def take_off(self) -> None:
-        """Take off to the chosen height, if the checklist offers it.
-
-        Why it is not green goes into the events.
+        """Take off to the chosen height; an event has why, if the checklist is not green.
 
         Raises ``UsageError``: it does not, or the limits end below that height. Raises
         ``M100Error``: what the agent tells.
@@ -415,6 +413,7 @@ class PageContext:
                 reason=checklist.reason,
             )
             self.agent.note(english(said), "warning")
+        PRESSED_AT.set(self.agent.asked_at)  # a STOP since then ends the climb, too
         await self.tab.session.ask(TakeOff())
         if height > TAKE_OFF_HEIGHT:
             await self.tab.session.ask(ChangeHeight(height))

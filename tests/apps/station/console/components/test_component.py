@@ -9,6 +9,7 @@ from typing import Any, cast
 
 import pytest
 
+from m100link.apps.agent.orders import ChangeHeight, Order
 from m100link.apps.station.console.components import component
 from m100link.apps.station.console.components.component import PageContext, Wording
 from m100link.apps.station.console.view.situation import Inputs
@@ -20,7 +21,7 @@ from m100link.apps.station.console.view.texts import (
     tr,
 )
 from m100link.apps.station.console.view.view_model import Memory, ViewModel
-from m100link.errors import M100Error, UsageError
+from m100link.errors import GuardRefused, M100Error, UsageError
 from tests.apps.station.conftest import Rig
 from tests.apps.station.console.test_tab import Browser, keep_alive
 
@@ -124,6 +125,27 @@ async def test_a_stop_while_it_takes_off_ends_the_climb_too(rig: Rig) -> None:
     with pytest.raises(M100Error):
         work.result()
     assert rig.front.state.guided is None
+    assert rig.aircraft.height < 2.0
+
+
+async def test_a_stop_between_take_off_and_climb_ends_the_climb(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The take-off is over, and the order to climb is not yet given."""
+    browser, page = await ready(rig, 8.0)
+    session = browser.tab.session
+    ask = session.ask
+
+    async def stop_first(order: Order) -> Any:
+        if isinstance(order, ChangeHeight):
+            await browser.tab.stop()
+        return await ask(order)
+
+    monkeypatch.setattr(session, "ask", stop_first)
+    work = rig.front.background.spawn(page.take_off(), "take-off")
+    await keep_alive(browser, rig.until(work.done))
+    with pytest.raises(GuardRefused, match="STOP was pressed after"):
+        work.result()
     assert rig.aircraft.height < 2.0
 
 
