@@ -78,8 +78,8 @@ class Here:
             stop=self._async("stop"), has_ended=lambda *_: False,
         )  # fmt: skip
         self.agent = SimpleNamespace(
-            now=12.34, asked_at=12.34, plan=None, plan_by="", telemetry=None, note=self._note("note"),
-            ask=self._async("agent"), hover=self._note("hover"),
+            now=12.34, asked_at=12.34, plan=None, plan_by="", telemetry=None,
+            note=self._note("note"), ask=self._async("agent"), hover=self._note("hover"),
             view=SimpleNamespace(get=lambda kind: self.place if kind is Position else None),
             background=SimpleNamespace(spawn=self._spawn),
             state=SimpleNamespace(guided=None, limits=SimpleNamespace(max_height_m=None)),
