@@ -16,6 +16,7 @@ from __future__ import annotations
 import asyncio
 import math
 import selectors
+import threading
 import time
 from collections.abc import Callable
 from typing import Any
@@ -135,14 +136,14 @@ class _JumpingSelector(selectors.DefaultSelector):
         return events
 
     def _let_threads_run(self) -> None:
-        """Sleep for a moment of real time, now and then.
+        """Sleep for a moment of real time, now and then, where there is anybody to run.
 
         A thread that never sleeps and polls all the time starves the others: each poll gives up
         the interpreter's lock and has it back before another thread has woken up.
         """
-        real = time.monotonic()
-        if real - self._slept_at >= _FAIR_S:
-            time.sleep(_MOMENT_S)
+        if time.monotonic() - self._slept_at >= _FAIR_S:
+            if threading.active_count() > 1 or self._registered > 1:
+                time.sleep(_MOMENT_S)
             self._slept_at = time.monotonic()
 
 

@@ -11,7 +11,7 @@ import random
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any, TypeVar
 
 from m100link.apps.bus.network import (
@@ -30,6 +30,7 @@ T = TypeVar("T")
 _TICK_S = 1e-9
 
 
+@lru_cache(10_000)  # each sample of each aircraft asks for the same few
 def fits(pattern: str, key: str) -> bool:
     """Whether a key is one of those that a pattern names."""
     return _fits(pattern.split("/"), key.split("/"))
