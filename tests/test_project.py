@@ -131,7 +131,7 @@ def test_nox_alone_checks_every_kind_and_full_runs_every_test() -> None:
         for line in re.findall(r"^(?:DEFAULT|FULL) = .*$", program, re.MULTILINE)
     )
     assert default == {"lint", "types", "docs", "quick"}
-    assert full == {"lint", "types", "docs", "tests", "browser", "examples", "interop"}
+    assert full == {"lint", "types", "manual", "tests", "browser", "examples", "interop"}
     assert kinds(program) == default | full
 
 

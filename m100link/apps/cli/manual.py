@@ -261,7 +261,7 @@ def _unfenced(found: re.Match[str], root: Path) -> str:
     if name == "eval-rst":
         return "\n".join(_described(body))
     what = " ".join([*name.split("-"), argument]).strip()
-    return f"*({what}: made of the code, see the manual that `nox -s docs` builds)*"
+    return f"*({what}: made of the code, see the manual that `nox -s manual` builds)*"
 
 
 def _described(body: str) -> Iterator[str]:
