@@ -23,9 +23,10 @@ def order(name: str, asked: object) -> bytes:
         "aircraft": name,
         "by": "plain zenoh",
     }
-    body |= {"fence": 0, "at": time.time(), "order": asked, "clock": 0.0, "signer": "", "key": ""}
+    body |= {"fence": 0, "at": time.time(), "order": asked, "clock": 0.0, "boot": ""}
+    body |= {"signer": "", "key": "", "since": 0.0}
     unsigned, unproved = bytes(64), bytes(16)
-    return b"\x03" + unsigned + unproved + json.dumps(body).encode()
+    return b"\x04" + unsigned + unproved + json.dumps(body).encode()
 
 
 config = zenoh.Config()

@@ -28,6 +28,7 @@ from m100link.apps.fleet.identity import Rights
 from m100link.apps.fleet.keys import Keys
 from m100link.apps.fleet.logs.words import LogEntry, LogReply
 from m100link.apps.fleet.payloads import (
+    VERSION,
     Asked,
     OrderMessage,
     OrderReply,
@@ -48,6 +49,7 @@ from tests.apps.fleet.test_signing import RIGHTS
 pytestmark = pytest.mark.anyio
 
 PAGE = Path(__file__).parents[3] / "docs" / "reference" / "fleet-wire.md"
+EXAMPLE = Path(__file__).parents[3] / "examples" / "fleet" / "plain_zenoh.py"
 KEY = Ed25519PrivateKey.from_private_bytes(b"a" * 32)
 
 
@@ -231,6 +233,20 @@ def test_the_page_names_every_key_and_field() -> None:
     assert len(keys()) == 14
     lacks = missing(text)
     assert not lacks, f"docs/reference/fleet-wire.md does not name {', '.join(lacks)}"
+
+
+def test_the_page_and_the_example_have_the_version_that_is_read() -> None:
+    """The example only flew where nobody saw it: an agent had refused its STOP for weeks."""
+    text = EXAMPLE.read_text(encoding="utf-8")
+    functions = text.partition("\nconfig = ")[0].replace("\nimport zenoh\n", "\n")
+    example: dict[str, Any] = {}
+    exec(functions.replace("zenoh.Session", "object"), example)
+    payload = example["order"]("a1", example["STOP"])
+    sent = unpack(OrderMessage, payload)
+    assert (sent.aircraft, sent.order, sent.fence) == ("a1", orders.Stop(), 0)
+    version = re.search(r"the version: `0x([0-9A-F]{2})`", PAGE.read_text(encoding="utf-8"))
+    assert version is not None
+    assert payload[0] == int(version[1], 16) == VERSION
 
 
 @pytest.mark.parametrize(
