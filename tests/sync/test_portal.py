@@ -6,6 +6,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from typing import Any, cast
 
 import pytest
 
@@ -222,3 +223,89 @@ def test_a_program_that_closes_nothing_closes_at_its_end() -> None:
     )
     assert ended.stdout.splitlines() == ["7", "closed in order", "over"]
     assert ended.stderr == ""
+
+
+def test_a_loop_that_cannot_be_made_is_the_error_of_the_caller_and_leaves_no_thread() -> None:
+    def fail() -> asyncio.AbstractEventLoop:
+        raise OSError(24, "Too many open files")
+
+    before = threading.active_count()
+    with pytest.raises(OSError, match="Too many open files"):
+        Portal(fail)
+    assert threading.active_count() == before
+
+
+def test_what_ends_a_loop_that_ran_is_told_by_its_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nobody waits for it there: in silence, the aircraft would be alone and nobody know."""
+
+    class Broken(asyncio.SelectorEventLoop):
+        has_run = False
+
+        def run_forever(self) -> None:
+            super().run_forever()
+            if not self.has_run:
+                self.has_run = True
+                raise MemoryError
+
+    told: list[object] = []
+    monkeypatch.setattr(threading, "excepthook", lambda end: told.append(end.exc_type))
+    portal = Portal(Broken)
+    portal.close()
+    assert told == [MemoryError]
+
+
+def test_what_waits_in_a_task_and_fails_as_errors_do_is_silent(portal: Portal) -> None:
+    """Others are told by the event loop, as of any task."""
+    order: list[str] = []
+
+    async def refused() -> None:
+        order.append("refused")
+        raise UsageError("no")
+
+    async def other() -> None:
+        order.append("other")
+
+    portal.soon_await(refused)
+    portal.soon_await(other)
+    portal.wait(lambda _: asyncio.sleep(0.001))
+    assert order == ["refused", "other"]
+    assert [task.exception() for task in portal._tasks] == [None, None]
+
+
+def test_the_clock_runs_while_somebody_waits_and_not_while_a_callback_works() -> None:
+    """A question to the program takes no time of the aircraft; its clock goes on behind it."""
+    steps: list[str] = []
+
+    class Clock:
+        def begin_waiting(self) -> None:
+            steps.append("waits")
+
+        def end_waiting(self) -> None:
+            steps.append("works")
+
+    portal = Portal()
+    portal._lockstep = cast(Any, Clock())
+    try:
+        asked = portal.wait(lambda caller: caller.ask(lambda value: steps.append("asked"), 1))
+    finally:
+        portal.close()
+    assert asked is None
+    assert steps[0] == "waits"
+    assert sorted(steps[1:3]) == ["asked", "works"]  # in two threads
+    assert steps[3:] == ["waits", "works"]
+
+
+def test_a_portal_that_is_closed_is_not_closed_again_when_the_program_ends(
+    portal: Portal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kept: list[object] = []
+    monkeypatch.setattr("m100link.sync.portal.atexit.register", kept.append)
+    monkeypatch.setattr("m100link.sync.portal.atexit.unregister", kept.remove)
+
+    async def close() -> None:
+        pass
+
+    end = portal.close_after(close, lambda: None)
+    assert kept == [end]
+    end()
+    assert kept == []
