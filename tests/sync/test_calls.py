@@ -80,7 +80,9 @@ def _public(kind: type[Any], *, is_property: bool) -> list[str]:
 
 def _given(method: Any) -> tuple[dict[str, Any], list[Any], dict[str, Any]]:
     """An object of its own for each argument: by its name, and as it is passed."""
-    bound, args, kwargs = {}, [], {}
+    bound: dict[str, Any] = {}
+    args: list[Any] = []
+    kwargs: dict[str, Any] = {}
     for name, one in inspect.signature(method).parameters.items():
         if one.kind is one.VAR_POSITIONAL:
             bound[name] = (object(), object())
@@ -106,7 +108,8 @@ def test_each_argument_goes_where_it_was_given(kind: type[Any], real: type[Any])
         given, args, kwargs = _given(method)
         returned = method(*args, **kwargs)
         if isinstance(returned, steering._Block):  # it is asked for when it is entered
-            returned._make(SimpleNamespace(begin=lambda one, *a, **k: one(*a, **k)))
+            caller: Any = SimpleNamespace(begin=lambda one, *a, **k: one(*a, **k))
+            returned._make(caller)
         if isinstance(returned, steering.Subscription):
             assert returned.timeout is given.pop("timeout"), name
         if name == "follow":
