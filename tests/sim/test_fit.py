@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from itertools import pairwise
 from random import Random
 from typing import Any
 
@@ -21,10 +22,19 @@ from m100link.protocol.setpoint import (
 )
 from m100link.sim import AircraftSettings, Airframe, PilotRemote
 from m100link.sim.fit import (
+    _STAGES,
     FlightRecording,
     ReplayedSpans,
     Series,
     SpanFlight,
+    _at,
+    _is_shown,
+    _moved,
+    _newest,
+    _noises,
+    _solve,
+    _standard_errors,
+    _with_limits,
     fit,
     noise_of,
     residuals,
@@ -156,9 +166,13 @@ def test_thrust_by_battery_is_found_where_the_battery_empties() -> None:
 
 def test_a_limit_that_no_command_reaches_is_not_found() -> None:
     seen = recorded(HIDDEN, steering(5, 5.0, BY_TILT, 20.0, 46.0, 0.0))
-    found = fit(ReplayedSpans([seen]), replace(HIDDEN, maximum_tilt_deg=30.0))
+    found = fit(ReplayedSpans([seen]), replace(HIDDEN, maximum_tilt_deg=30.0, drag=0.25))
     assert found.airframe.maximum_tilt_deg == 30.0
     assert "maximum_tilt_deg" not in {one.name for one in found.found}
+    [drag] = [one for one in found.found if one.name == "drag"]
+    assert drag.before == 0.25
+    assert drag.value == pytest.approx(0.15, abs=0.01)
+    assert 0.0 < drag.error < 0.05
 
 
 def test_the_same_airframe_flies_the_same_flight() -> None:
@@ -190,6 +204,7 @@ def test_residuals_tell_size_and_delay() -> None:
     assert (pitch.rms, pitch.delay_s) == (0.0, 0.0)
     assert math.isnan(pitch.correlation)
     assert yaw.delay_s == roll.delay_s
+    assert (up.deviation, up.rms) == (0.0, 0.0), "about its mean, and that is 7"
     early = residuals([SpanFlight(0.0, sines(-0.05, 1.0), sines(0.0, 1.0))])[0]
     assert early.delay_s == pytest.approx(-0.05)
 
@@ -265,3 +280,165 @@ def test_a_short_flight_and_an_empty_recording_are_refused() -> None:
         ReplayedSpans([level_flight(1.0)])
     with pytest.raises(UsageError, match="no flight under movement commands in empty"):
         ReplayedSpans([FlightRecording(name="empty")])
+
+
+# -- what a span is made of, by hand ---------------------------------------------------------------
+
+
+def test_a_heading_that_passes_south_goes_on() -> None:
+    """Turning right at 60°/s from 150°: recorded from −180° to 180°, the signal passes 180°."""
+    moves = [(n / 50, ReceivedMove(BY_VELOCITY, 0.5, 0.0, 0.0, 60.0)) for n in range(150)]
+    first = [(at, move._replace(yaw=-60.0)) for at, move in moves]
+    for steered, sign in ((moves, 1.0), (first, -1.0)):
+        seen = recorded(HIDDEN, steered)
+        turned: Series = [
+            (at, roll, pitch, math.remainder(yaw + sign * math.radians(150.0), math.tau))
+            for at, roll, pitch, yaw in seen.attitude
+        ]
+        assert max(abs(b[3] - a[3]) for a, b in pairwise(turned)) > 6.0, "it jumps"
+        seen.attitude = turned
+        [flight] = ReplayedSpans([seen]).fly(HIDDEN)
+        for rows in (flight.recorded, flight.flown):
+            headings = [row[2] for row in rows]
+            assert max(abs(b - a) for a, b in pairwise(headings)) < 1.0
+            # 2.98 s without the dead time and the lag, 0.43 s.
+            assert sign * (headings[-1] - headings[0]) == pytest.approx(153.0, abs=6.0)
+        yaw = residuals([flight])[2]
+        assert (yaw.signal, yaw.rms < 3.0) == ("yaw", True)
+
+
+@pytest.mark.parametrize(
+    ("now", "expected"),
+    [
+        (1.0, (10.0, -4.0)),  # before the first row
+        (2.0, (10.0, -4.0)),
+        (2.5, (12.0, -3.0)),  # a quarter of the way
+        (4.0, (18.0, 0.0)),
+        (4.75, (19.5, 7.5)),
+        (5.0, (20.0, 10.0)),
+        (9.0, (20.0, 10.0)),  # after the last
+    ],
+)
+def test_between_two_rows_values_are_in_proportion(
+    now: float, expected: tuple[float, float]
+) -> None:
+    series: Series = [(2.0, 10.0, -4.0), (4.0, 18.0, 0.0), (5.0, 20.0, 10.0)]
+    assert _at(series, now) == pytest.approx(expected)
+    newest = {1.0: 7.0, 2.0: 10.0, 4.75: 18.0}.get(now, 10.0 if now < 4 else series[-1][1])
+    if now != 4.0:
+        assert _newest(series, now, 7.0) == newest
+
+
+def test_a_span_has_the_commands_before_it_the_height_and_the_charge() -> None:
+    """Of the two seconds before: what was commanded then is under way; no height is 1000 m."""
+    by_height = ControlMode(Horizontal.VELOCITY, Vertical.HEIGHT, Yaw.RATE)
+    starts = {}
+    for mode in (BY_VELOCITY, by_height):
+        seen = level_flight(10.0)
+        seen.moves = [(at, ReceivedMove(mode, 3.0, 0.0, 40.0, 0.0)) for at, _ in seen.moves]
+        seen.velocity = [row for row in seen.velocity if row[0] >= 5.0]
+        seen.height = [(0.0, 30.0), (4.0, 40.0), (6.0, 50.0)]
+        seen.battery = [(0.0, 80.0), (7.0, 60.0)]
+        [replay] = ReplayedSpans([seen])._replays
+        assert replay.begin == pytest.approx(5.02)
+        assert replay.moves[0][0] == pytest.approx(3.02, abs=0.021)
+        assert replay.moves[-1][0] == pytest.approx(9.96, abs=0.021)
+        starts[mode.vertical] = replay._height
+        assert (replay._battery[0], replay._battery[-1]) == (80.0, 60.0)
+        assert replay.recorded[0] == pytest.approx((0.0, 0.0, 0.0, 3.0, 0.0, 0.0))
+    assert starts == {Vertical.VELOCITY: 1000.0, Vertical.HEIGHT: 40.0}
+
+
+# -- the arithmetic of the fit, by hand ------------------------------------------------------------
+
+
+def test_equations_are_solved_and_a_row_of_nothing_gives_0() -> None:
+    # 2a + b = 1 and a - 3b = 11 are a = 2, b = -3; the first pivot is 0 in the second.
+    assert _solve([[2.0, 1.0], [1.0, -3.0]], [1.0, 11.0]) == pytest.approx([2.0, -3.0])
+    assert _solve([[0.0, 2.0], [4.0, 1.0]], [6.0, 11.0]) == pytest.approx([2.0, 3.0])
+    assert _solve([[4.0, 0.0], [0.0, 0.0]], [8.0, 5.0]) == [2.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("now", "width", "variance"),
+    [
+        # The mean square is 1; the next one is alike by 1/4: (1 + 1/4) / (1 - 1/4) of it.
+        ([1.0, 1.0, -1.0, -1.0], 1, 5.0 / 3.0),
+        ([1.0, -1.0, 1.0, -1.0], 1, 1.0),  # unlike: as if by chance
+        ([1.0, -1.0, 1.0, -1.0], 2, 3.0),  # of two signals in turn: alike by 1/2
+    ],
+)
+def test_residuals_that_resemble_each_other_count_less(
+    now: list[float], width: int, variance: float
+) -> None:
+    found = _standard_errors(["drag", "tilt_damping"], [[4.0, 0.0], [0.0, 9.0]], now, width)
+    wanted = {"drag": math.sqrt(variance) / 2.0, "tilt_damping": math.sqrt(variance) / 3.0}
+    assert found == pytest.approx(wanted)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "step", "moved"),
+    [
+        ("command_delay", 0.5, 0.03, 0.53),
+        ("command_delay", 0.5, -0.03, 0.47),
+        ("command_delay", 1.99, 0.03, 2.0),  # 0 to 2 s
+        ("command_delay", 2.0, 0.03, 1.97),  # at its end the other way
+        ("command_delay", 0.0, -0.03, 0.03),
+        ("maximum_tilt_deg", 1.5, -1.0, 1.0),
+    ],
+)
+def test_a_step_stays_in_the_range(name: str, value: float, step: float, moved: float) -> None:
+    there = _moved(replace(Airframe(), **{name: value}), name, step)
+    assert getattr(there, name) == pytest.approx(moved)
+
+
+def test_a_limit_is_searched_from_the_99th_percentile_of_what_was_flown() -> None:
+    """Either way: 400 rows from −20° to 20° of roll, less of pitch, and 3 m/s north."""
+    seen = level_flight(4.1)
+    seen.attitude = [(at, math.radians(10.0 * (at - 2.05)), 0.05, 0.0) for at, *_ in seen.attitude]
+    seen.velocity = [(at, 3.0, -7.0, -1.25) for at, *_ in seen.velocity]
+    names = ["maximum_tilt_deg", "horizontal_speed", "vertical_speed", "drag"]
+    found = _with_limits(ReplayedSpans([seen]), Airframe(), names)
+    assert found.maximum_tilt_deg == pytest.approx(20.0, abs=0.5)
+    assert (found.horizontal_speed, found.vertical_speed) == (7.0, 1.25)
+    assert found.drag == 0.30
+    unknown = _with_limits(ReplayedSpans([seen]), Airframe(), ["drag"])
+    assert unknown.maximum_tilt_deg == 30.0
+
+
+@pytest.mark.parametrize(
+    ("charges", "is_shown"), [([], False), ([90, 81], False), ([90, 80], True), ([20, 80], True)]
+)
+def test_thrust_by_battery_is_shown_by_ten_percent(charges: list[int], is_shown: bool) -> None:
+    seen = level_flight(2.0)
+    thrust = ReceivedMove(BY_TILT, 0.0, 0.0, 45.0, 0.0)
+    seen.moves = [(at, thrust) for at, _ in seen.moves]
+    seen.battery = [(float(at), float(charge)) for at, charge in enumerate(charges)]
+    replays = ReplayedSpans([seen])
+    shown = {one.name for _, row in _STAGES for one in row if _is_shown(one, replays)}
+    assert ("empty_hover_thrust" in shown) is is_shown
+    assert shown - {"empty_hover_thrust"} == {
+        *("command_delay", "tilt_frequency", "tilt_damping", "maximum_tilt_deg", "drag"),
+        *("yaw_time_constant", "yaw_rate_deg"),
+        *("hover_thrust", "thrust_exponent", "vertical_drag"),
+    }
+
+
+def test_noise_is_that_of_the_middle_recording_and_at_most_5() -> None:
+    """An aircraft that rests with its nose to the south jumps from 180° to −180°, and does rest."""
+    chance = Random(8)
+    recordings = []
+    for gyro, accelerometer in ((0.001, 9.0), (0.004, 8.0), (0.002, 7.0)):
+        one = FlightRecording(name="rests")
+        for step in range(500):
+            at = step * STEP
+            one.rates.append((at, *(chance.gauss(0.0, gyro) for _ in range(3))))
+            one.acceleration.append((at, *(chance.gauss(0.0, accelerometer) for _ in range(3))))
+            one.attitude.append((at, 0.0, 0.0, math.pi if step % 2 else -math.pi))
+        recordings.append(one)
+    empty = FlightRecording(name="empty")
+    found = dict(_noises([*recordings, empty]))
+    assert list(found) == ["gyro_noise", "accelerometer_noise"]
+    assert found["gyro_noise"] == pytest.approx(0.002, rel=0.1)
+    assert found["accelerometer_noise"] == 5.0
+    assert dict(_noises([empty])) == {}

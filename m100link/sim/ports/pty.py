@@ -200,8 +200,7 @@ class PtyPort:
             termios.tcflush(self._slave, termios.TCIFLUSH)
             self._blocked_since = now
             self._partial = b""
-            self.backlog.dropped += 1 + len(self.backlog)
-            self.backlog.take()
+            self.backlog.dropped += len(pieces)
             return
         while written >= len(pieces[0]):
             written -= len(pieces.pop(0))
