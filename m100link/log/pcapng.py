@@ -60,8 +60,8 @@ def read_frames(
     """The frames of both directions in order of time, as ``m100link decode`` describes them.
 
     Each has ``utc`` and ``at`` (POSIX time and the event loop's clock, s, of the read or write that
-    ended it) and ``direction`` (``rx`` or ``tx``) besides. Bytes that belong to no frame come where
-    they were passed over: ``discarded_bytes``, with the cause.
+    ended it) and ``direction`` (``rx`` or ``tx``) besides. Damaged frames come where they were
+    passed over: ``discards``, their number, and ``cause``.
 
     Args:
         flight: The log.

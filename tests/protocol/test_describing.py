@@ -9,6 +9,7 @@ from m100link.protocol.commands.activation import GetVersion
 from m100link.protocol.describing import Describer
 from m100link.protocol.firmware import FIRMWARE_1_0, profile
 from m100link.wire import Cipher, encode_frame
+from tests.support import encrypted_frame, raw_frame
 
 CIPHER = Cipher(bytes(range(32)))
 ASKED = encode_frame(b"\x00\x00\x00", session=2, sequence=7)
@@ -61,3 +62,74 @@ def test_an_ack_that_cannot_be_read_keeps_the_name_of_what_it_answers() -> None:
     assert answer["command"] == "request_authority"
     assert "request_authority" in answer["problem"]
     assert "ack" not in answer
+
+
+# -- encrypted frames -----------------------------------------------------------------------------
+
+KEYED = encrypted_frame(b"\x01\x00\x01", key=bytes(range(32)), session=2, sequence=8)
+EMPTY = raw_frame(b"", encryption=1, session=2, sequence=3)  # a header alone
+TOO_LONG = raw_frame(bytes(16), encryption=1, padding=16, session=2, sequence=4)  # padding alone
+
+
+@pytest.mark.parametrize("cipher", [None, CIPHER])
+@pytest.mark.parametrize("first", [(), (EMPTY,), (EMPTY, EMPTY), (TOO_LONG,), (EMPTY, TOO_LONG)])
+def test_a_frame_that_says_encrypted_and_has_no_data_does_not_shift_those_after_it(
+    cipher: Cipher | None, first: tuple[bytes, ...]
+) -> None:
+    found = Describer(FIRMWARE_1_0, cipher).feed(b"".join(first) + KEYED + EMPTY + KEYED)
+    assert [one["sequence"] for one in found[-3:]] == [8, 3, 8]
+    assert all(one["encrypted"] for one in found)
+    assert (found[-2]["data"], found[-2]["command"]) == ("", None)
+    ciphertext = KEYED[12:-4].hex()
+    for one in (found[-3], found[-1]):
+        if cipher is None:
+            assert (one["ciphertext"], one["command"]) == (ciphertext, None)
+        else:
+            assert (one["data"], one["command"]) == ("010001", "request_authority")
+
+
+def test_without_a_key_a_frame_is_described_as_it_travelled() -> None:
+    """2 + 1 bytes of data in one block of 16; header 12 and checksum 4 bytes around it."""
+    [sealed] = Describer(FIRMWARE_1_0).feed(KEYED)
+    assert (sealed["length"], sealed["data_length"], sealed["padding"]) == (32, 3, 13)
+    assert sealed["header_crc"] == f"0x{int.from_bytes(KEYED[10:12], 'little'):04X}"
+    assert sealed["frame_crc"] == f"0x{int.from_bytes(KEYED[28:], 'little'):08X}"
+    assert sealed["problem"] == "encrypted, and no key was given"
+    # Three bits say encrypted, any but 0 is AES. Ours have 1: of others the checksum is not known.
+    other = raw_frame(KEYED[12:-4], encryption=3, padding=13, session=2, sequence=8)
+    [unlike] = Describer(FIRMWARE_1_0).feed(other)
+    assert (unlike["header_crc"], unlike["frame_crc"], unlike["data_length"]) == (None, None, 3)
+
+
+def test_a_frame_of_many_reads_is_known_as_it_was_sent() -> None:
+    """The longest has 1023 bytes: 62 blocks of data."""
+    longest = encrypted_frame(bytes(991), key=bytes(range(32)), session=1, sequence=9)
+    assert len(longest) == 1008
+    describer = Describer(FIRMWARE_1_0)
+    describer.feed(bytes(3000))
+    found = [one for at in range(len(longest)) for one in describer.feed(longest[at : at + 1])]
+    assert [one["frame_crc"] for one in found] == [
+        f"0x{int.from_bytes(longest[-4:], 'little'):08X}"
+    ]
+
+
+def test_what_the_document_does_not_have_is_said_with_each_command() -> None:
+    """Later commands have their fields as on the wire; firmware that lacks one is told."""
+    rates = encode_frame(b"\x00\x10" + bytes(range(16)), session=2, sequence=1)
+    later, old = (Describer(profile(name)).feed(rates)[0] for name in ("3.1", "1.0"))
+    assert later["command"] == old["command"] == "set_telemetry_rates"
+    assert later["raw"] == old["raw"]
+    assert "firmware_note" not in later
+    assert "does not know this command: it came with" in old["firmware_note"]
+    [first] = Describer(profile("3.1")).feed(ASKED)
+    assert "raw" not in first
+    unknown = encode_frame(b"\x07\x07\x00", session=2, sequence=1)
+    [strange] = Describer(profile("3.1")).feed(unknown)
+    assert (strange["command"], strange["data"]) == (None, "070700")
+    assert strange["problem"]
+    [empty] = Describer(profile("3.1")).feed(raw_frame(b"", sequence=5))
+    assert (empty["data"], empty["command"], "problem" in empty) == ("", None, False)
+    [stray] = Describer(profile("3.1")).feed(
+        encode_frame(b"\x00\x00", session=2, sequence=1, is_ack=True)
+    )
+    assert (stray["data"], stray["command"], "ack" in stray) == ("0000", None, False)
