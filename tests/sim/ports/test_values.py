@@ -5,6 +5,7 @@ What needs a program that reads in real time is in test_pty.py.
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import os
 import termios
@@ -16,6 +17,7 @@ import pytest
 
 from m100link.errors import PortBusy, PortFailed
 from m100link.sim import AssistantSettings, Driver, PtyPort, VirtualAircraft
+from m100link.sim.ports.driver import Backlog, StreamPort
 from m100link.wire import FrameDecoder, encode_frame
 from tests.waiting import blocking_until
 
@@ -286,3 +288,71 @@ def test_frames_that_no_terminal_took_for_more_than_a_second_are_dropped(desks: 
     clock.now += 0.01
     port._drain()
     assert (len(port.backlog), port.backlog.dropped, port._partial) == (0, waiting + 1, b"")
+
+
+# -- a stream, and its reader who does not keep up ------------------------------------------------
+
+
+class Pipe(asyncio.Transport):
+    """Keeps what is written."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.sent: list[bytes] = []
+        self.limit: int | None = None
+        self.ended = ""
+
+    def set_write_buffer_limits(self, high: int | None = None, low: int | None = None) -> None:
+        self.limit = high
+
+    def write(self, data: Any) -> None:
+        self.sent.append(bytes(data))
+
+    def abort(self) -> None:
+        self.ended = "aborted"
+
+    def close(self) -> None:
+        self.ended = "closed"
+
+
+def test_a_stream_holds_16_kilobytes_and_then_the_newest_frames() -> None:
+    """Less than two seconds of telemetry, for what is old in flight is of no use."""
+    driver = Driver(VirtualAircraft(), cast(Any, Clock()))
+    port, pipe = StreamPort(driver), Pipe()
+    port.write([FRAME])  # nobody is there
+    port.connection_made(pipe)
+    assert (pipe.limit, driver.ports) == (16_384, [port])
+    port.write([FRAME])
+    port.write([FRAME, b"12"])
+    port.pause_writing()
+    port.write([b"3", b"4"])
+    assert pipe.sent == [FRAME, FRAME + b"12"]
+    port.resume_writing()
+    assert pipe.sent[2:] == [b"34"]
+    port.resume_writing()
+    port.write([b"5"])
+    assert pipe.sent[3:] == [b"5"]
+    port.unplug()
+    assert pipe.ended == "aborted"
+    port.close()
+    assert pipe.ended == "closed"
+    port.connection_lost(None)
+    assert driver.ports == []
+    driver.aircraft.unplug()
+    refused = Pipe()
+    StreamPort(driver).connection_made(refused)
+    assert (refused.ended, driver.ports) == ("aborted", [])
+    with pytest.raises(ConnectionRefusedError):
+        driver.connect(asyncio.Protocol())
+    driver.stop()
+
+
+def test_of_257_frames_the_oldest_telemetry_goes_or_else_the_oldest() -> None:
+    backlog, answers = Backlog(), [bytes([n, 1]) for n in range(256)]
+    backlog.extend([*answers[:2], FRAME, *answers[2:]])
+    assert (backlog.take(), backlog.dropped) == (answers, 1)
+    backlog.extend([*answers, b"x", b"y"])
+    assert (backlog.take(), backlog.dropped) == ([*answers[2:], b"x", b"y"], 3)
+    backlog.extend([b"x", b"y"])
+    backlog.clear()
+    assert (len(backlog), backlog.dropped) == (0, 5)

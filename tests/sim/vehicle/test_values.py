@@ -13,11 +13,13 @@ from typing import Any
 
 import pytest
 
-from m100link.protocol import Setpoint
+from m100link.protocol import Attitude, Setpoint
+from m100link.protocol.commands.gimbal import GimbalSpeed
 from m100link.protocol.commands.virtual_rc import VirtualRcData, VirtualRcSettings
 from m100link.protocol.firmware import profile
 from m100link.protocol.records import AccelerationMode, Device, FlightPhase, RcMode
 from m100link.sim import AircraftSettings, AssistantSettings, PilotRemote, Vehicle
+from m100link.sim.vehicle.gimbal import GimbalMount
 from m100link.sim.vehicle.remote import VirtualRemote
 
 ON, NEVER_BACK, OFF = (
@@ -327,3 +329,87 @@ def test_a_remote_that_is_off_reads_as_the_settings_say(
     vehicle = posed(rc_lost_reads=reads)
     vehicle.remote.is_switched_on = False
     assert read(vehicle, "rc") == expected
+
+
+# -- errors of the sensors, and the gimbal ----------------------------------------------------
+
+
+@pytest.mark.parametrize(("health", "worse"), [(3, 1.0), (2, 20.0), (1, 20.0)])
+def test_each_error_is_added_to_its_own_value_and_poor_gps_is_20_times_as_far_off(
+    health: int, worse: float
+) -> None:
+    """Errors of 1.5, −2.5 and 0.25 m: a degree of latitude is 111.195 km."""
+    exact, off = posed(), posed(noise=1.0)
+    for vehicle in (exact, off):
+        vehicle.set_gps_health(health)
+    errors = off.sensors._errors
+    errors.north.value, errors.east.value, errors.height.value = 1.5, -2.5, 0.25
+    for error, value in zip(errors.velocity, (0.1, -0.2, 0.3), strict=True):
+        error.value = value
+    for error, value in zip(errors.field, (11.0, -12.0, 13.0), strict=True):
+        error.value = value
+    errors.roll.value, errors.pitch.value, errors.yaw.value = 0.01, -0.02, 0.03
+    there, here = read(off, "position"), read(exact, "position")
+    metre = math.radians(1.0) / 111_195.0
+    assert there[0] - here[0] == pytest.approx(1.5 * worse * metre, rel=1e-2)
+    across = metre / math.cos(here[0])
+    assert there[1] - here[1] == pytest.approx(-2.5 * worse * across, rel=1e-2)
+    assert [a - b for a, b in zip(there[2:], here[2:], strict=True)] == [0.25, 0.25, 0]
+    moved = zip(read(off, "velocity")[:3], read(exact, "velocity")[:3], strict=True)
+    assert [a - b for a, b in moved] == pytest.approx([0.1, -0.2, 0.3])
+    drawn = zip(read(off, "magnetometer"), read(exact, "magnetometer"), strict=True)
+    assert [a - b for a, b in drawn] == [11, -12, 13]
+    turned = Attitude(*read(off, "quaternion"))
+    assert (turned.roll_deg, turned.pitch_deg, turned.yaw_deg) == pytest.approx(
+        (10.0 + 0.57296, -20.0 - 1.14592, 170.0 + 1.71887), abs=1e-3
+    )
+
+
+@pytest.mark.parametrize("scale", [1.0, 3.0])
+def test_inertial_noise_is_that_of_the_airframe_on_each_axis(scale: float) -> None:
+    """Axis by axis: a drawn number of 1, −2 and 3, times 0.05 m/s² and 0.005 rad/s."""
+    vehicle = posed("1.0", noise=scale)
+    vehicle.sensors._noise = lambda: [1.0, -2.0, 3.0]
+    exact = posed("1.0")
+    for name, deviation in (("acceleration", 0.05), ("angular_velocity", 0.005)):
+        off = zip(read(vehicle, name), read(exact, name), strict=True)
+        wanted = [scale * deviation * one for one in (1.0, -2.0, 3.0)]
+        assert [a - b for a, b in off] == pytest.approx(wanted)
+    for one in (vehicle, exact):
+        one.configure(AssistantSettings(acceleration=AccelerationMode.RAW))
+    felt = zip(read(vehicle, "acceleration"), read(exact, "acceleration"), strict=True)
+    wanted = [scale * 0.05 * one / 9.80665 for one in (1.0, -2.0, 3.0)]
+    assert [a - b for a, b in felt] == pytest.approx(wanted)
+
+
+def test_height_counts_from_where_it_stands() -> None:
+    """While the motors are off it has no error; errors move on in turn, each after 0.2 s."""
+    vehicle = posed(noise=1.0)
+    errors = vehicle.sensors._errors
+    for is_on, kept in ((False, False), (True, True)):
+        vehicle.flight.dynamics.motors_on = is_on
+        errors.height.value = 9.0
+        for _ in range(4):
+            vehicle.sensors.advance()
+        assert (abs(errors.height.value) > 8.0) is kept
+    assert errors.roll._keep == pytest.approx(math.exp(-0.2 / 30.0))
+    assert errors.velocity[0]._keep == pytest.approx(math.exp(-0.2 / 3.0))
+
+
+@pytest.mark.parametrize(
+    ("rates", "turned"),
+    [
+        ((40.0, -20.0, -30.0), (20.0, -10.0, -15.0)),
+        ((250.0, 0.0, 0.0), (90.0, 0.0, 0.0)),  # 180 degrees a second, for half a second
+        ((-250.0, 0.0, -250.0), (-90.0, 0.0, -90.0)),
+    ],
+)
+def test_a_gimbal_turns_for_half_a_second_at_180_degrees_a_second_at_most(
+    rates: tuple[float, float, float], turned: tuple[float, float, float]
+) -> None:
+    gimbal = GimbalMount()
+    yaw, roll, pitch = rates
+    gimbal.turn(GimbalSpeed(yaw_deg_s=yaw, roll_deg_s=roll, pitch_deg_s=pitch), 7.0)
+    for step in range(1, 200):
+        gimbal.advance(7.0 + step / 100, 0.01)
+    assert (gimbal.yaw, gimbal.roll, gimbal.pitch) == pytest.approx(turned, abs=1.9)
