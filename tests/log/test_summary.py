@@ -3,13 +3,33 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
+import pytest
 from mcap.writer import Writer
 
 from m100link.log import read
-from m100link.log.story import FlightSummary, read_story
+from m100link.log.reading import Message
+from m100link.log.story import (
+    Curve,
+    FlightPath,
+    FlightSummary,
+    Moment,
+    Span,
+    _CommandReader,
+    _SampleReader,
+    read_story,
+)
+from m100link.protocol.records import (
+    Attitude,
+    Battery,
+    ControlDevice,
+    FlightStatus,
+    Position,
+    Velocity,
+)
 
 
 def told(tmp_path: Path, *messages: tuple[float, str, dict[str, Any]]) -> FlightSummary:
@@ -111,3 +131,310 @@ def test_the_line_is_reported_by_differences(tmp_path: Path) -> None:
     [(at, round_trip)] = found.curves.round_trip_ms.points()
     assert (at, round(round_trip, 6)) == (3.0, 50.0)
     assert found.repeats == 3
+
+
+def test_only_what_this_side_asks_and_hears_is_a_command_and_its_answer(tmp_path: Path) -> None:
+    heard = [
+        sent(0.0, "arm", 0, on=True),
+        sent(1.0, "arm", 0, on=True),
+        sent(2.0, "query_task", 1),
+        sent(2.0, "follow_target", 0),
+        sent(2.5, "follow_target", 0),  # half a second later it goes on
+        sent(3.125, "follow_target", 0),
+        sent(3.5, "land", 5, task_sequence=9, redacted=True, height=3.5),
+        answered(3.75, "land", 5, "STARTED"),
+        sent(4.0, "go", 6),
+    ]
+    refused = answered(6.5, "go", 6, "")
+    del refused[2]["ack"]
+    refused[2]["problem"] = "too short"
+    heard += [
+        (5.0, "/m100/command", answered(5.0, "go", 6, "MINE")[2] | {"direction": "tx"}),
+        (6.0, "/m100/command", sent(6.0, "theirs", 7)[2] | {"direction": "rx"}),
+        refused,
+        sent(7.0, "go", 6),  # the number is used once more
+    ]
+    heard[0][2]["session"] = heard[1][2]["session"] = 0  # no ack: each is one of its own
+    found = told(tmp_path, *heard)
+    assert [(one.at_s, str(one), one.after_s) for one in found.commands] == [
+        (0.0, "arm on=True: no answer", None),
+        (1.0, "arm on=True: no answer", None),
+        (3.5, "land height=3.5: STARTED", 0.25),
+        (4.0, "go: too short", 2.5),
+        (7.0, "go: no answer", None),
+    ]
+    assert [(one.text, one.begin_s, one.end_s) for one in found.streams] == [
+        ("2 × follow_target", 2.0, 2.5),
+        ("1 × follow_target", 3.125, 3.125),
+    ]
+
+
+def test_a_connection_ends_by_the_line_or_by_this_side(tmp_path: Path) -> None:
+    def connection(at: float, is_connected: bool, error: str | None) -> Any:
+        event = {"event": "connection", "is_connected": is_connected, "error": error}
+        return at, "/m100/event", event
+
+    lost = told(tmp_path, sent(0.0, "arm", 1), connection(2.0, False, "the port went away"))
+    assert lost.ended == "the port went away"
+    assert lost.alarms == [Span("link_lost", 2.0, 2.0, "the port went away")]
+    back = told(tmp_path, connection(0.0, False, None), connection(2.0, True, None))
+    assert (back.ended, [one.text for one in back.alarms]) == (None, [""])
+    closed = "the link was closed by this side"
+    ours = told(tmp_path, connection(0.0, True, None), connection(2.0, False, closed))
+    assert (ours.ended, ours.alarms) == (closed, [])
+
+
+def test_counters_of_the_line_are_differences_in_their_units(tmp_path: Path) -> None:
+    """Bytes per second; milliseconds per ack; a counter that began anew lost nothing."""
+
+    def counted(at: float, lost: int, acks: int, total_s: float, repeats: int) -> Any:
+        counters = {"discarded_bytes": lost, "acks": acks, "repeats": repeats}
+        return (
+            at,
+            "/m100/link",
+            {**counters, "firmware": "1.0", "round_trips": {"total_s": total_s}},
+        )
+
+    rows = [(0.0, 50, 9, 1.0, 2), (0.5, 60, 9, 1.0, 3), (2.5, 10, 13, 1.5, 4)]
+    found = told(tmp_path, *(counted(*row) for row in rows))
+    assert list(found.curves.discarded_bytes_per_s.points()) == [(0.5, 20.0), (2.5, 0.0)]
+    assert list(found.curves.round_trip_ms.points()) == [(2.5, 125.0)]
+    assert (found.repeats, found.discarded_bytes) == (4, 10)
+
+
+def test_a_listener_hears_setpoints_as_often_as_it_asks() -> None:
+    heard: list[float] = []
+    story = FlightSummary("made")
+    reader = _CommandReader(story, 100.0, 0.5, lambda at, _: heard.append(round(at, 3)))
+    data = json.dumps(sent(0.0, "move", 0)[2], separators=(",", ":")).encode()
+    for step in range(12):
+        reader.hear(Message("/m100/command", 101.0 + step / 8, 0.0, data))
+    reader.end()
+    assert heard == [1.0, 1.5, 2.0]
+    assert story.streams == [Span("move", 1.0, 2.375, "12 × move")]
+    assert story.duration_s == 2.375
+
+
+# -- telemetry -------------------------------------------------------------------------------------
+
+
+class Package:
+    """A package with some records; each class has a bit of its own."""
+
+    BITS = (FlightStatus, Position, Velocity, Attitude, Battery, ControlDevice)
+
+    def __init__(self, *records: Any) -> None:
+        self._records = {type(one): one for one in records}
+        self.flags = sum(1 << self.BITS.index(kind) for kind in self._records)
+
+    def get(self, kind: type[Any]) -> Any:
+        return self._records.get(kind)
+
+
+def heard(
+    *packages: tuple[float, list[Any]],
+    commands: tuple[Moment, ...] = (),
+    ends_s: float | None = None,
+    interval_s: float = 0.0,
+) -> FlightSummary:
+    story = FlightSummary("made", commands=list(commands))
+    reader = _SampleReader(story, interval_s, None)
+    for at, records in packages:
+        reader.hear(at, cast(Any, Package(*records)))
+    story.duration_s = packages[-1][0] if ends_s is None else ends_s
+    reader.end()
+    return story
+
+
+GROUND, TAKES_OFF, FLIES, LANDS, TOUCHES = (FlightStatus(number) for number in range(1, 6))
+
+
+def health(number: int | None, height_m: float = 5.0) -> Position:
+    return Position(0.4, 0.9, 60.0, height_m, number)
+
+
+@pytest.mark.parametrize(
+    ("phase", "readings", "alarms"),
+    [
+        (GROUND, [Battery(26), Battery(25), Battery(26), Battery(27)], [("battery_low", 1, 3)]),
+        (GROUND, [Battery(10), Battery(9), Battery(9), Battery(9)], [("battery_low", 0, 3)]),
+        (
+            FLIES,
+            [Battery(11), Battery(10), Battery(11), Battery(12)],
+            [("battery_low", 0, 3), ("battery_critical", 1, 3)],
+        ),
+        (FLIES, [health(3), health(2), health(0), health(3)], [("gps", 1, 3)]),
+        (FLIES, [health(None), health(5), health(3), health(None)], []),
+        (GROUND, [health(0), health(2), health(0), health(1)], []),
+        (TAKES_OFF, [health(0), health(2), health(0), health(1)], []),
+    ],
+)
+def test_an_alarm_begins_and_ends_at_its_limit(
+    phase: FlightStatus, readings: list[Any], alarms: list[tuple[str, float, float]]
+) -> None:
+    later = ((float(n), [one]) for n, one in enumerate(readings[1:], 1))
+    story = heard((0.0, [phase, readings[0]]), *later)
+    assert [tuple(one[:3]) for one in story.alarms] == alarms
+    if alarms[:1] == [("gps", 1, 3)]:
+        assert story.alarms[0].text == "GPS health 2: it cannot hold its place"
+    if alarms[-1:] == [("battery_critical", 1, 3)]:
+        assert [one.text for one in story.alarms] == ["battery 11 %", "battery 10 %"]
+
+
+def ordered(at: float, command: str, **arguments: Any) -> Moment:
+    return Moment(at, command, arguments, None, None)
+
+
+@pytest.mark.parametrize(
+    ("commands", "rings"),
+    [
+        ([], True),
+        ([ordered(8.0, "start_task", task="land")], False),
+        ([ordered(9.0, "start_task", task="go_home")], False),  # at the same moment
+        ([ordered(9.5, "start_task", task="land")], True),  # afterwards
+        ([ordered(3.0, "start_task", task="land")], True),  # of the flight before
+        ([ordered(8.0, "start_task", task="take_off")], True),
+        ([ordered(3.0, "waypoint_start_stop")], False),  # a mission may end by it, whenever begun
+        ([ordered(3.0, "hotpoint_start")], False),
+        ([ordered(3.0, "follow_start")], False),
+        ([ordered(9.5, "hotpoint_start")], True),
+    ],
+)
+def test_it_lands_by_itself_unless_a_command_of_this_flight_asked(
+    commands: list[Moment], rings: bool
+) -> None:
+    statuses = ((0.0, FLIES), (1.0, GROUND), (5.0, GROUND), (6.0, FLIES), (9.0, LANDS))
+    after = ((9.5, TOUCHES), (10.25, GROUND), (11.0, GROUND))
+    packages = [(at, [one]) for at, one in (*statuses, *after)]
+    every = [*packages[:2], (4.0, [FLIES]), *packages[2:]]
+    story = heard(*every, commands=tuple(commands))
+    found = [tuple(one[:3]) for one in story.alarms if one.name == "lands_itself"]
+    assert found == ([("lands_itself", 9.0, 10.25)] if rings else [])
+
+
+@pytest.mark.parametrize(
+    ("gaps", "ends_s", "silences", "longest"),
+    [
+        ([0.5, 1.0], 1.5, [], 1.0),
+        ([0.5, 1.25], 1.75, [(0.5, 1.75, "1.2")], 1.25),
+        ([0.5, 3.0, 2.0], 5.5, [(0.5, 3.5, "3.0"), (3.5, 5.5, "2.0")], 3.0),
+        ([0.5], 4.0, [(0.5, 4.0, "3.5")], 3.5),  # to the end of the log
+    ],
+)
+def test_a_silence_is_longer_than_a_second(
+    gaps: list[float], ends_s: float, silences: list[tuple[float, float, str]], longest: float
+) -> None:
+    times = [sum(gaps[:number]) for number in range(len(gaps) + 1)]
+    story = heard(*((at, []) for at in times), ends_s=ends_s)
+    assert [(one.begin_s, one.end_s, one.text) for one in story.alarms] == [
+        (begin, end, f"no telemetry for {said} s") for begin, end, said in silences
+    ]
+    assert story.maxima.silence_s == longest
+    assert story.packages == len(times)
+
+
+def test_packages_are_counted_by_the_second_and_a_hole_is_three_zeros() -> None:
+    times = [0.0, 0.3, 0.9, 1.0, 1.5, 2.25, 9.5, 9.75, 10.5]
+    story = heard(*((at, []) for at in times))
+    assert list(story.curves.packages_per_s.points()) == [
+        *((0.5, 3.0), (1.5, 2.0), (2.5, 1.0)),
+        *((3.5, 0.0), (4.5, 0.0), (5.5, 0.0)),
+        (7.5, pytest.approx(math.nan, nan_ok=True)),
+        (9.5, 2.0),
+    ]
+
+
+def test_phases_owners_and_maxima_of_a_flight() -> None:
+    """Owners by the three lowest bits: 0 the remote control, 1 the app, 2 the onboard device."""
+    moving = Velocity(3.0, -4.0, -1.5, 1)
+    story = heard(
+        (0.0, [GROUND, ControlDevice(0, None), Battery(90), Velocity(0.0, 0.0, 0.0, 1)]),
+        (1.0, [FlightStatus(9), ControlDevice(0x0A, None)]),
+        (2.0, [TAKES_OFF, ControlDevice(2, None), Velocity(0.0, 0.0, 2.5, 1)]),
+        (3.0, [FLIES, ControlDevice(1, None), moving, health(5, -3.0)]),
+        (4.0, [FLIES, ControlDevice(7, None), Battery(88), health(5, 12.5)]),
+        (5.0, [LANDS, health(5, math.nan), Velocity(math.nan, 0.0, 9.0, 1)]),
+        (6.0, [TOUCHES, Attitude(0.0, 0.6, 0.0, 0.8)]),
+        (7.5, [GROUND, Attitude(math.nan, 0.0, 0.0, 0.0)]),
+        ends_s=9.0,
+    )
+    assert story.phases == [
+        Span(name, begin, end)
+        for name, begin, end in (
+            *(("ground", 0.0, 1.0), ("unknown", 1.0, 2.0), ("take-off", 2.0, 3.0)),
+            *(("flight", 3.0, 5.0), ("landing", 5.0, 7.5), ("ground", 7.5, 9.0)),
+        )
+    ]
+    assert story.control == [
+        *(Span("pilot", 0.0, 1.0), Span("program", 1.0, 3.0), Span("app", 3.0, 9.0))
+    ]
+    assert (story.took_off_s, story.maxima.airborne_s) == (2.0, 5.5)
+    most = story.maxima
+    assert (most.ground_speed_m_s, most.climb_m_s, most.descent_m_s) == (5.0, 9.0, 1.5)
+    assert (most.height_m, most.battery_first_percent, most.battery_last_percent) == (12.5, 90, 88)
+    # Turned by 2 asin 0.6 about the forward axis and 180 degrees about the vertical one.
+    assert most.tilt_deg == pytest.approx(2 * math.degrees(math.asin(0.6)))
+    heights = [value for _, value in story.curves.height_m.points()]
+    assert heights == [-3.0, 12.5]
+
+
+def test_a_quick_look_takes_new_items_at_once_and_others_by_its_interval() -> None:
+    """Rarer items come with packages of their own, which an interval must not miss."""
+    readings = [(step / 8, [health(5, float(step))]) for step in range(17)]
+    readings[3] = (3 / 8, [health(5, 99.0), Battery(50)])
+    readings[5] = (5 / 8, [Battery(49)])
+    story = heard(*readings, interval_s=0.5)
+    assert [value for _, value in story.curves.height_m.points()] == [
+        0.0,
+        99.0,
+        4.0,
+        8.0,
+        12.0,
+        16.0,
+    ]
+    assert [value for _, value in story.curves.battery_percent.points()] == [50, 49]
+    assert story.packages == 17
+
+
+# -- curves and paths, by hand ---------------------------------------------------------------------
+
+
+def test_a_curve_keeps_the_least_and_the_largest_of_each_fiftieth_of_a_second() -> None:
+    curve = Curve(gap_s=0.5)
+    for at, value in ((1.0, 5.0), (1.005, -7.0), (1.01, 6.0), (1.015, 5.5), (1.021, 1.0)):
+        curve.add(at, value)
+    assert list(curve.points()) == [(1.005, -7.0), (1.01, 6.0), (1.021, 1.0)]
+    curve.add(1.521, 2.0)
+    assert list(curve.points())[3:] == [(1.521, 2.0)]
+    curve.add(2.025, 3.0)
+    assert math.isnan(list(curve.points())[4][1])
+    assert list(curve.points())[4][0] == pytest.approx(1.773)
+
+
+def test_a_long_curve_has_no_holes_between_its_own_spans() -> None:
+    """At 0.02 s and 800 spans; a package each 40 s for a day is 2160 of them: spans of 164 s."""
+    curve = Curve(gap_s=2.0)
+    for number in range(2160):
+        curve.add(40.0 * number, float(number % 7))
+    points = list(curve.points())
+    assert len(curve) <= 800
+    assert not any(math.isnan(value) for _, value in points)
+    curve.add(90_000.0, 1.0)
+    assert sum(math.isnan(value) for _, value in curve.points()) == 1
+
+
+def test_before_a_take_off_home_is_where_it_stands_and_else_the_first_one() -> None:
+    path = FlightPath()
+    path.add(1.0, health(5))
+    where = (math.degrees(0.4), math.degrees(0.9))
+    assert path.home(7.0) == (7.0, *where)
+    assert (path.version, path.points()[0][0]) == ((0, False), 1.0)
+    path.hear_phase(3.0, is_off_ground=True)
+    assert path.version == (0, True)
+    for at in (2.0, 3.0, 9.0):
+        assert path.home(at) == (3.0, *where)
+    assert path.points() == []
+    blind = FlightPath()
+    blind.hear_phase(1.0, is_off_ground=True)
+    blind.add(2.0, health(5))
+    assert (blind.home(5.0), len(blind.points())) == (None, 1), "it flew, nobody knows from where"
