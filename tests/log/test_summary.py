@@ -380,6 +380,7 @@ def test_phases_owners_and_maxima_of_a_flight() -> None:
 
 def test_a_quick_look_takes_new_items_at_once_and_others_by_its_interval() -> None:
     """Rarer items come with packages of their own, which an interval must not miss."""
+    readings: list[tuple[float, list[Any]]]
     readings = [(step / 8, [health(5, float(step))]) for step in range(17)]
     readings[3] = (3 / 8, [health(5, 99.0), Battery(50)])
     readings[5] = (5 / 8, [Battery(49)])

@@ -1,0 +1,531 @@
+"""What a diagnosis and a first contact make of values by hand, stage by stage."""
+
+from __future__ import annotations
+
+import math
+import os
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+
+from m100link.apps.doctor import diagnosis, line
+from m100link.apps.doctor.diagnosis import (
+    _acceleration,
+    _at_rest,
+    _authority,
+    _firmware,
+    _mode_switch,
+    _refused,
+    _unanswered,
+    _version,
+)
+from m100link.apps.doctor.first_contact import _lost, _Meeting, _Point, _steepest, _Witness
+from m100link.apps.doctor.machine import Permission, Process
+from m100link.apps.doctor.port import (
+    Finding,
+    Report,
+    Stage,
+    Verdict,
+    failed,
+    look_at_latency,
+    look_at_port,
+)
+from m100link.errors import AckTimeout, AuthorityRefused, NoAircraft, UsageError
+from m100link.link import Direction
+from m100link.link.url import ConnectionString, parse_url
+from m100link.protocol.codes import AuthorityCode
+from m100link.protocol.firmware import PROFILES
+from m100link.protocol.records import (
+    AccelerationMode,
+    AngularVelocity,
+    Attitude,
+    ControlDevice,
+    RemoteControl,
+    Velocity,
+    quaternion,
+)
+from m100link.wire import encode_frame
+from tests.apps.doctor.bench import TELEMETRY, FakeMachine
+
+pytestmark = pytest.mark.anyio
+
+GOOD, DOUBTFUL, FAILED, SKIPPED = Verdict.GOOD, Verdict.DOUBTFUL, Verdict.FAILED, Verdict.SKIPPED
+
+
+def an_aircraft(**changes: Any) -> Any:
+    """As much of one as a stage looks at; its state has these records."""
+    records = {type(one): one for one in changes.pop("records", ())}
+    state = SimpleNamespace(fresh=records.get)
+    known = {"firmware": PROFILES["3.1"], "telemetry_mismatches": 0, "state": state}
+    return SimpleNamespace(**known | changes)
+
+
+# -- an attitude that turns, and a gyro that feels it ---------------------------------------------
+
+
+class Turns:
+    """Packages in order: time, heading in degrees, and rates about the body axes in °/s."""
+
+    def __init__(self, *rows: tuple[float, float | None, tuple[float, ...] | None]) -> None:
+        self._rows = iter(rows)
+
+    def get_nowait(self) -> Any:
+        row = next(self._rows, None)
+        if row is None:
+            return None
+        at, yaw, rates = row
+        records: dict[Any, Any] = {}
+        if yaw is not None:
+            records[Attitude] = Attitude(*quaternion(0.0, 0.0, math.radians(yaw)))
+        if rates is not None:
+            records[AngularVelocity] = AngularVelocity(*map(math.radians, rates))
+        return SimpleNamespace(received_at=at, get=records.get)
+
+
+def turning(degrees: float, felt: float, axis: int = 2) -> Turns:
+    """From 170° on, past south, within two seconds; the gyro feels so many degrees of it."""
+    rates = [0.0, 0.0, 0.0]
+    rates[axis] = felt / 2.0
+    return Turns(*((5.0 + n / 10, 170.0 + degrees * n / 20, tuple(rates)) for n in range(21)))
+
+
+@pytest.mark.parametrize(
+    ("turns", "seen"),
+    [
+        (turning(9.9, 0.0), None),
+        (turning(10.1, 0.0), "turned by 10°, of which the gyro felt 0°"),
+        (turning(40.0, 19.0), "turned by 40°, of which the gyro felt 19°"),
+        (turning(40.0, -19.0, axis=0), "turned by 40°, of which the gyro felt 19°"),
+        (turning(40.0, 21.0), None),
+        (turning(-60.0, 0.0), "turned by 60°, of which the gyro felt 0°"),
+        (Turns((1.0, 0.0, None), (2.0, 90.0, None)), None),  # no gyro arrives
+        # The first rate has no time before it; the second holds for a second.
+        (Turns((1.0, 0.0, (0.0, 90.0, 0.0)), (2.0, 30.0, (0.0, 0.0, 14.0))), "felt 14°"),
+        (Turns(), None),
+    ],
+)
+def test_a_gyro_that_feels_less_than_half_of_ten_degrees_is_a_doubt(
+    turns: Turns, seen: str | None
+) -> None:
+    found = _at_rest(cast(Any, turns))
+    assert (found is None) is (seen is None)
+    if found is not None and seen is not None:
+        assert (found.stage, found.verdict) == (Stage.ACCELERATION, DOUBTFUL)
+        assert seen in found.seen
+
+
+@pytest.mark.parametrize(
+    ("arrives", "mode", "seen_mode", "verdict", "seen"),
+    [
+        (False, None, None, SKIPPED, "does not arrive"),
+        (True, None, None, DOUBTFUL, "neither that of a raw nor that of a fused"),
+        (True, "fused", "fused", GOOD, "fused: ground axes, m/s²"),
+        (True, "raw", "raw", GOOD, "raw: body axes, in g, with gravity; m100link converts it"),
+        (True, "raw", None, GOOD, "; forced, and not at rest"),
+        (True, "fused", "raw", DOUBTFUL, "it is read as fused, and its values at rest are raw"),
+    ],
+)
+async def test_acceleration_is_raw_or_fused_as_it_is_read_and_seen(
+    arrives: bool, mode: str | None, seen_mode: str | None, verdict: Verdict, seen: str
+) -> None:
+    reader = SimpleNamespace(
+        has_arrived=arrives,
+        mode=mode and AccelerationMode(mode),
+        seen=seen_mode and AccelerationMode(seen_mode),
+    )
+    found = await _acceleration(an_aircraft(_telemetry=SimpleNamespace(acceleration=reader)))
+    assert (found.stage, found.verdict) == (Stage.ACCELERATION, verdict)
+    assert seen in found.seen
+
+
+# -- what the aircraft answers --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("is_slow", "crc_matches", "verdict"),
+    [(False, True, GOOD), (False, False, DOUBTFUL), (True, True, DOUBTFUL)],
+)
+def test_a_version_is_good_unless_it_is_late_or_its_checksum_another(
+    is_slow: bool, crc_matches: bool, verdict: Verdict
+) -> None:
+    class Latency(SimpleNamespace):
+        def __str__(self) -> str:
+            return "0.9 s there and back"
+
+    version = SimpleNamespace(name="SDK-v1.0 M100", crc_matches=crc_matches)
+    found = _version(cast(Any, version), cast(Any, Latency(is_slow=is_slow, round_trip_s=0.9)))
+    assert (found.stage, found.verdict) == (Stage.VERSION, verdict)
+    assert ("0.9 s there and back" in found.seen) is is_slow
+    assert ("checksum" in found.seen) is (not is_slow and not crc_matches)
+
+
+@pytest.mark.parametrize(
+    ("mismatches", "is_known", "is_forced", "verdict", "command"),
+    [
+        (2, True, False, GOOD, ""),
+        (2, False, True, GOOD, ""),
+        (2, False, False, DOUBTFUL, "if you know that it fits: --firmware 3.1"),
+        (3, True, True, FAILED, "leave --firmware out"),
+        (3, True, False, FAILED, "m100link doctor PORT --firmware 1.0"),
+    ],
+)
+def test_a_firmware_is_known_forced_or_another(
+    mismatches: int, is_known: bool, is_forced: bool, verdict: Verdict, command: str
+) -> None:
+    version = SimpleNamespace(name="v", profile=PROFILES["3.1"] if is_known else None)
+    aircraft = an_aircraft(telemetry_mismatches=mismatches)
+    found = _firmware(aircraft, cast(Any, version), is_forced=is_forced)
+    assert (found.stage, found.verdict) == (Stage.FIRMWARE, verdict)
+    assert found.commands[:1] == ((command,) if command else ())
+    assert not any("--firmware 3.1" in one for one in found.commands if "PORT" in one)
+    assert ("(forced)" in found.seen) is (verdict is GOOD and is_forced)
+
+
+P, A, F = -8000, 0, 8000
+
+
+@pytest.mark.parametrize(
+    ("channels", "verdict", "seen"),
+    [
+        (None, SKIPPED, "does not arrive"),
+        ((0, 0, 0, 0, 0, 0), FAILED, "is not heard"),
+        ((0, 0, 0, 0, F, -4545), GOOD, "F"),
+        ((0, 0, 0, 0, A, -4545), FAILED, "it is in A"),
+        ((9, 0, 0, 0, P, -10_000), FAILED, "it is in P"),
+    ],
+)
+def test_the_mode_switch_is_in_f(
+    channels: tuple[int, ...] | None, verdict: Verdict, seen: str
+) -> None:
+    records = [] if channels is None else [RemoteControl(*channels)]
+    found = _mode_switch(an_aircraft(records=records))
+    assert (found.stage, found.verdict) == (Stage.MODE_SWITCH, verdict)
+    assert seen in found.seen
+
+
+@pytest.mark.parametrize(
+    ("code", "mode", "holder", "firmware", "seen"),
+    [
+        (AuthorityCode.NOT_IN_F, F, 0, "3.1", "the switch is in F"),
+        (AuthorityCode.NOT_CHANGED, F, 0, "1.0", "the switch is in F"),
+        (AuthorityCode.NOT_CHANGED, F, 0, "3.1", "it goes on being in progress"),
+        (AuthorityCode.NOT_CHANGED, F, 1, "3.1", "the mobile app controls the aircraft"),
+        (AuthorityCode.NOT_IN_F, F, 1, "1.0", "the mobile app controls the aircraft"),
+        (AuthorityCode.NOT_IN_F, P, 1, "3.1", ""),
+        (AuthorityCode.IOC_ON, F, 1, "3.1", ""),
+    ],
+)
+def test_a_refusal_of_control_is_read_with_the_switch_and_the_holder(
+    code: AuthorityCode, mode: int, holder: int, firmware: str, seen: str
+) -> None:
+    error = AuthorityRefused("refused", code=code)
+    records = [RemoteControl(0, 0, 0, 0, mode, -4545), ControlDevice(holder, None)]
+    found = _refused(an_aircraft(records=records, firmware=PROFILES[firmware]), error)
+    assert (found.stage, found.verdict, found.error) == (Stage.AUTHORITY, FAILED, error)
+    assert found.seen.startswith("refused")
+    assert (seen in found.seen) if seen else (found.seen == "refused")
+
+
+@pytest.mark.parametrize(
+    ("has_key", "is_seen", "is_wanted", "why", "may_be"),
+    [
+        (False, True, True, "no app id and key were given", False),
+        (True, False, True, "it is not seen standing", False),
+        (True, None, True, "it is not seen standing", False),
+        (True, True, False, "it was not to be tried", True),
+    ],
+)
+async def test_control_is_asked_for_with_a_key_on_the_ground_and_when_it_is_wanted(
+    has_key: bool,
+    is_seen: bool | None,
+    is_wanted: bool,
+    why: str,
+    may_be: bool,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async def stands(_state: object) -> bool | None:
+        return is_seen
+
+    monkeypatch.setattr(diagnosis, "stands", stands)
+    key: Any = object() if has_key else None
+    found = await _authority(an_aircraft(), key, authority=is_wanted)
+    assert (found.verdict, found.details) == (SKIPPED, {"may_be_tried": may_be})
+    assert why in found.seen
+
+
+@pytest.mark.parametrize(
+    ("bytes_later", "seen"), [(0, "fallen silent"), (1, "has answered 3 of 5")]
+)
+async def test_an_aircraft_that_does_not_answer_is_silent_or_loses_frames(
+    bytes_later: int, seen: str
+) -> None:
+    counts = iter((700, 700 + bytes_later))
+
+    def statistics() -> Any:
+        counters = {"acks": 3, "expired": 2, "repeats": 4, "late_acks": 1}
+        return SimpleNamespace(bytes_received=next(counts), **counters)
+
+    aircraft = an_aircraft(statistics=statistics, link=SimpleNamespace(latency="0.2 s"))
+    found = await _unanswered(Stage.KEY, aircraft, AckTimeout("no answer"))
+    assert (found.stage, found.verdict) == (Stage.KEY, FAILED)
+    assert seen in found.seen
+    wanted = {"acks": 3, "repeats": 4, "late_acks": 1} if bytes_later else {}
+    assert found.details == wanted
+
+
+@pytest.mark.parametrize(("frames", "seen"), [(7, "heard 7"), (0, "fallen silent")])
+async def test_an_aircraft_that_never_answered_was_heard_or_not(
+    frames: int, seen: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def connect(_url: str, **_options: object) -> None:
+        raise NoAircraft(f"heard {frames}", frames_received=frames, bytes_received=10 * frames)
+
+    monkeypatch.setattr(diagnosis, "connect", connect)
+    nothing: dict[str, Any] = dict.fromkeys(
+        ("baud_rate", "firmware", "credentials", "acceleration", "authority")
+    )
+    talk = diagnosis.look_at_aircraft("sim://", **nothing)
+    [found] = [one async for one in talk]
+    assert (found.stage, found.verdict) == (Stage.VERSION, FAILED)
+    assert seen in found.seen
+    if frames:
+        assert found.details == {"bytes": 70, "frames": 7}
+
+
+# -- the port -------------------------------------------------------------------------------------
+
+
+def test_who_has_the_device_open_and_who_holds_the_other_end(machine: FakeMachine) -> None:
+    """The master of a pseudo-terminal is its other end, and this program is no other one."""
+
+    def opens(pid: int, *files: str) -> None:
+        machine.run(pid, f"/usr/bin/program{pid}")
+        folder = machine.root / f"proc/{pid}/fd"
+        folder.mkdir(parents=True)
+        for number, name in enumerate(files):
+            (folder / str(number)).symlink_to(name)
+
+    opens(11, "/dev/null", "/dev/pts/913")
+    opens(12, "/dev/pts/913", "/dev/ptmx")
+    opens(13, "/dev/zero")
+    opens(os.getpid(), "/dev/pts/913", "/dev/null")
+    machine.run(14, "/usr/bin/secret")  # nobody may look into it
+    assert machine.holders("/dev/pts/913") == (Process(11, "program11"),)
+    assert machine.holders("/dev/zero") == (Process(13, "program13"),)
+    opens(15, "/dev/zero", "/dev/ptmx")
+    assert [one.pid for one in machine.holders("/dev/zero")] == [13, 15], "that is no terminal"
+    assert machine.holders("/dev/full") == ()
+
+
+@pytest.mark.parametrize(
+    ("mode", "is_granted"), [(0o600, True), (0o400, False), (0o200, False), (0o000, False)]
+)
+def test_a_port_is_to_be_read_and_written(
+    mode: int, is_granted: bool, machine: FakeMachine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As somebody else than root, who may do all."""
+    port = machine.write("port", "")
+    bits = {os.R_OK: 0o400, os.W_OK: 0o200}
+
+    def access(path: str, wanted: int) -> bool:
+        assert path == str(port)
+        return all(mode & bit for flag, bit in bits.items() if wanted & flag)
+
+    monkeypatch.setattr("m100link.apps.doctor.machine.os.access", access)
+    assert machine.permission(str(port)).is_granted is is_granted
+
+
+@pytest.mark.parametrize(
+    ("group", "is_member", "cause", "command"),
+    [
+        ("dialout", True, "after you logged in", "log out and in again"),
+        ("root", False, "no rule gives the device", "m100link udev --install"),
+        ("0", False, "no rule gives the device", "m100link udev --install"),
+        ("dialout", False, "not in the group dialout", "sudo usermod -aG dialout $USER"),
+    ],
+)
+def test_what_may_not_be_opened_has_its_cause_by_the_group(
+    group: str,
+    is_member: bool,
+    cause: str,
+    command: str,
+    machine: FakeMachine,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    refused = Permission("crw-rw----", "root", group, is_granted=False, is_member=is_member)
+    monkeypatch.setattr(machine, "permission", lambda _: refused)
+    *_, found = look_at_port("/dev/null", machine)
+    assert (found.stage, found.verdict) == (Stage.PERMISSION, FAILED)
+    assert cause in found.causes[0]
+    assert found.commands[0] == command
+    assert found.details == {"mode": "crw-rw----", "owner": "root", "group": group}
+
+
+@pytest.mark.parametrize(
+    ("latency", "verdict"), [(None, GOOD), (1, GOOD), (4, GOOD), (5, DOUBTFUL), (16, DOUBTFUL)]
+)
+def test_an_adapter_may_collect_for_four_milliseconds(
+    latency: int | None, verdict: Verdict, machine: FakeMachine
+) -> None:
+    machine.plug_in("ttyUSB9", latency=latency)
+    found = look_at_latency("/dev/ttyUSB9", machine)
+    assert (found.stage, found.verdict) == (Stage.LATENCY, verdict)
+    assert found.details == ({"latency_ms": latency} if verdict is DOUBTFUL else {})
+
+
+def test_a_report_fails_at_its_first_failure() -> None:
+    doubt = Stage.BYTES.doubtful("a", ("b",), ("c",), {"d": 1})
+    first, second = Stage.FRAMES.failed("e"), Stage.KEY.failed("f")
+    report = Report("sim://", (doubt, first, second))
+    assert (report.failure, report.doubts) == (first, (doubt,))
+    told = report.to_json()
+    assert (told["ok"], told["failed"]) == (False, "frames")
+    assert told["stages"][0] == {
+        **{"stage": "bytes", "asked": "bytes arrive", "verdict": "doubtful", "seen": "a"},
+        **{"causes": ["b"], "commands": ["c"], "details": {"d": 1}},
+    }
+    assert Report("sim://", (doubt,)).to_json()["ok"] is True
+    error = UsageError("seen", cause="cause", remedy="remedy")
+    told_of = failed(Stage.KEY, error, "then this")
+    assert (told_of.seen, told_of.causes, told_of.commands) == (
+        *("seen", ("cause",)),
+        ("remedy", "then this"),
+    )
+    assert told_of.to_json()["error"] == "UsageError"
+    assert Finding(Stage.KEY, GOOD, "x").to_json().keys() == {"stage", "asked", "verdict", "seen"}
+
+
+# -- the line -------------------------------------------------------------------------------------
+
+
+async def test_other_rates_are_tried_by_how_often_they_are_met_and_the_own_one_is_not(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    tried: list[int | None] = []
+
+    class Deaf:
+        lost, is_lost, data = None, False, bytearray()
+
+        async def listen(self, seconds: float) -> None:
+            assert seconds in (line.SCAN_S, line.ANSWER_S)
+
+        def say(self, data: bytes) -> None:
+            assert data[:1] == b"\xaa"
+
+        async def close(self) -> None:
+            """Nothing is open."""
+
+    async def open_ear(address: ConnectionString) -> Deaf:
+        tried.append(address.number)
+        return Deaf()
+
+    monkeypatch.setattr(line, "open_ear", open_ear)
+    place = parse_url("serial:///dev/ttyUSB9:115200")
+    assert await line._scan(place) is None
+    assert tried == [230_400, 921_600, 460_800, 1_000_000, 57_600]
+    found = await line._no_frames(place, line.hear(b"\x91\x37" * 200))
+    assert found.details["rates_tried"] == tried[:5]
+    assert "at 115200 baud, nor at any other usual rate" in found.seen
+
+
+@pytest.mark.parametrize(
+    ("data", "is_echo"),
+    [
+        (line._QUERY, True),
+        (line._QUERY * 2, True),
+        (line._QUERY + TELEMETRY, False),
+        (TELEMETRY, False),
+        (b"", False),
+        (encode_frame(b"\x00\x00\x00", session=2, sequence=0xD0C, is_ack=True), False),
+        (encode_frame(b"\x00\x00\x00", session=2, sequence=0xD0D), False),
+        (encode_frame(b"\x00\x00\x00", session=1, sequence=0xD0C), False),
+        (encode_frame(b"\x00\x00\x01", session=2, sequence=0xD0C), False),
+    ],
+)
+def test_an_echo_is_the_own_questions_and_nothing_else(data: bytes, is_echo: bool) -> None:
+    assert line._is_echo(line.hear(data)) is is_echo
+
+
+# -- first contact --------------------------------------------------------------------------------
+
+
+def test_pushes_are_counted_by_their_address_and_acks_are_none() -> None:
+    witness = _Witness()
+    push = encode_frame(b"\x02\x03" + bytes(6), session=0, sequence=1)
+    ack = encode_frame(b"\x02\x03", session=2, sequence=1, is_ack=True)
+    witness.tap(Direction.RECEIVED, push + ack + push, 1.0)
+    witness.tap(Direction.SENT, push, 2.0)
+    witness.tap(Direction.RECEIVED, encode_frame(b"\x02\x01\x04", session=2, sequence=2), 3.0)
+    assert witness.pushes == {b"\x02\x03": 2, b"\x02\x01": 1}
+
+
+@pytest.mark.parametrize(
+    ("rows", "found"),
+    [
+        # Time, altitude and way: the greatest rise within six seconds, and the way meanwhile.
+        ([(0.0, 10.0, 0.0), (1.0, 10.5, 0.25), (2.0, 11.25, 1.0)], (1.25, 1.0)),
+        ([(0.0, 10.0, 0.0), (3.0, 9.0, 0.5), (5.0, 9.75, -0.25)], (0.75, -0.75)),
+        ([(0.0, 10.0, 0.0), (6.0, 11.0, 2.0)], (1.0, 2.0)),
+        ([(0.0, 10.0, 0.0), (6.5, 11.0, 2.0)], (0.0, 0.0)),  # a barometer that drifts
+        ([(0.0, 10.0, 0.0), (1.0, 9.0, -1.0)], (0.0, 0.0)),
+    ],
+)
+def test_a_lift_is_the_greatest_rise_in_six_seconds(
+    rows: list[tuple[float, float, float]], found: tuple[float, float]
+) -> None:
+    assert _steepest([_Point(*row) for row in rows]) == pytest.approx(found)
+
+
+def held(yaw: int = -9000, mode: int = F, roll: int = 0, gear: int | None = -4545) -> RemoteControl:
+    return RemoteControl(roll, 0, yaw, 0, mode, gear)
+
+
+@pytest.mark.parametrize(
+    ("did", "before", "late", "found"),
+    [
+        (False, held(), [held()], ""),
+        (True, None, [held()], ""),
+        (True, held(yaw=-4999), [held()], ""),
+        (True, held(yaw=-5000), [], "silent"),
+        (True, held(yaw=5000), [], "silent"),
+        (True, held(), [held(roll=0), held(roll=301)], ""),  # of 10000: somebody moves it
+        (True, held(), [held(roll=0), held(roll=300)], "kept"),
+        (True, held(), [RemoteControl(0, 0, 0, 0, 0, 0)], "zeros"),
+        (True, held(), [RemoteControl(0, 0, 0, 0, 0, None)], "zeros"),
+        (True, held(), [held(yaw=-8700)], "kept"),
+        (True, held(), [held(yaw=-8699)], "other"),
+        (True, held(), [held(mode=P)], "other"),
+        (True, held(), [held(yaw=0)], "centred"),
+        (True, held(), [held(yaw=0, mode=P)], "other"),
+        (True, held(), [held(yaw=0, gear=-10_000)], "other"),
+    ],
+)
+def test_the_channels_of_a_remote_that_is_off(
+    did: bool, before: RemoteControl | None, late: list[RemoteControl], found: str
+) -> None:
+    assert _lost(did, before, late)[0] == found
+
+
+@pytest.mark.parametrize(
+    ("rate", "count", "nearest"),
+    [
+        *((100.0, 500, 100), (70.0, 500, 50), (71.0, 500, 100), (30.0, 60, 50), (22.0, 60, 10)),
+        *((3.2, 9, 10), (3.1, 9, 1), (0.4, 3, 1), (None, 1, 1), (None, 0, 0), (0.2, 3, 0)),
+    ],
+)
+def test_a_rate_is_the_nearest_that_the_assistant_has(
+    rate: float | None, count: int, nearest: int
+) -> None:
+    state = SimpleNamespace(statistics=lambda _: SimpleNamespace(rate_hz=rate, count=count))
+    meeting = SimpleNamespace(_aircraft=SimpleNamespace(state=state))
+    assert _Meeting._rate_of(cast(Any, meeting), Velocity) == nearest
+
+
+def test_stages_have_their_order() -> None:
+    names = [one.name for one in Stage]
+    assert names == [
+        *("PORT", "PERMISSION", "OWNER", "INTERFERENCE", "LATENCY", "OPENING", "BYTES", "FRAMES"),
+        *("TELEMETRY", "VERSION", "FIRMWARE", "ACCELERATION", "ACTIVATION", "KEY"),
+        *("MODE_SWITCH", "AUTHORITY"),
+    ]
