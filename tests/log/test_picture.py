@@ -14,7 +14,7 @@ import pytest
 
 from m100link.errors import UsageError
 from m100link.log import read
-from m100link.log.picture import page, picture
+from m100link.log.picture import page, panels, picture
 from m100link.log.story import Curve, FlightSummary, Moment, Span, read_story
 from tests.log.flight import fly
 
@@ -125,3 +125,120 @@ def test_what_was_heard_once_can_be_seen() -> None:
     story.curves.battery_percent = Curve()
     story.curves.battery_percent.add(0.5, 80.0)
     assert re.search(r'd="M500.0 [\d.]+h2"', checked(story))
+
+
+# -- where each thing stands on the page, of a flight of 50 s --------------------------------------
+
+
+def marked() -> FlightSummary:
+    """Curves, phases, an alarm, a command and places, each with numbers of its own."""
+    story = FlightSummary("flight.mcap", 1_795_420_800.0, 50.0)
+    story.phases = [Span("ground", 0.0, 10.0), Span("flight", 10.0, 50.0)]
+    story.control = [Span("pilot", 0.0, 20.0), Span("program", 20.0, 50.0)]
+    story.streams = [Span("move", 25.0, 30.0, "9 × move")]
+    story.alarms = [Span("gps", 15.0, 25.0, "GPS health 2"), Span("link_old", 40.0, 40.05, "late")]
+    story.commands = [Moment(12.5, "arm", {"on": True}, "DONE", 0.1)]
+    for at, height, climb in ((5.0, 0.5, -1.0), (20.0, 8.0, 2.0), (21.0, 4.0, 0.0)):
+        story.curves.height_m.add(at, height)
+        story.curves.climb_m_s.add(at, climb)
+    for place in ((5.0, 0.0, 0.0), (12.0, 0.0, 10.0), (20.0, 20.0, 10.0), (30.0, 20.0, -10.0)):
+        story.track.add(*place)
+    return story
+
+
+def test_a_panel_spans_its_values_with_a_little_room() -> None:
+    """Four hundredths above, and below where a value lies lower than the scale begins."""
+    drawn = {panel.title: panel for panel in panels(marked())}
+    assert drawn["Height, m"].span() == pytest.approx((0.0, 8.0 + 0.04 * 8.0))
+    assert drawn["Speed, m/s"].span() == pytest.approx((-1.0 - 0.04 * 3.0, 2.0 + 0.04 * 3.0))
+    assert drawn["Battery, %"].span() == pytest.approx((0.0, 104.0))
+    assert [one.name for one in drawn["Line"].lines] == ["round trip, ms", "bytes lost per s"]
+
+
+def test_times_and_values_stand_at_their_places_in_a_chart_of_1000_by_100() -> None:
+    text = page(marked())
+    # 8.32 m high: 0.5 m is 6.01 of 100 from below, 8 m 96.15; 5 s of 50 are 100 of 1000. Fifteen
+    # seconds without a value are a hole.
+    assert 'd="M100.0 94.0M400.0 3.8L420.0 51.9" stroke="#3b7dd8"' in text
+    assert 'd="M100.0 96.3M400.0 3.7L420.0 65.4" stroke="#e8a33d"' in text  # of 3.24, from −1.12
+    strip, *charts = text.split('<div class="title">')
+    rect = '<rect x="{}" y="{}" width="{}" height="{}" fill="{}" opacity="{}"><title>{}</title>'
+    for values in (
+        ("0.0", 4, "200.0", 28, "#9aa0a6", 0.85, "ground"),
+        ("200.0", 4, "800.0", 28, "#3b7dd8", 0.85, "flight"),
+        ("0.0", 36, "400.0", 28, "#9aa0a6", 0.85, "pilot"),
+        ("400.0", 36, "600.0", 28, "#3b7dd8", 0.85, "program"),
+        ("500.0", 68, "100.0", 28, "#b07cc6", 0.85, "9 × move"),
+        ("300.0", 0, "200.0", 100, "var(--alarm)", 0.15, "GPS health 2"),
+        ("800.0", 0, "3.0", 100, "var(--alarm)", 0.15, "late"),  # else it could not be seen
+    ):
+        assert rect.format(*values) in strip, values
+    for chart in charts[:5]:
+        assert rect.format("200.0", 0, "800.0", 100, "#3b7dd8", 0.1, "flight") in chart
+        assert rect.format("300.0", 0, "200.0", 100, "var(--alarm)", 0.15, "GPS health 2") in chart
+        assert '<line class="command" x1="250.0" x2="250.0" y1="0" y2="100"/>' in chart
+    for label in ("phase", "control", "setpoints"):
+        assert f">{label}</span>" in strip
+    tops = re.findall(r'class="row" style="top:([\d.]+)%"', strip)
+    assert tops == ["18", "50", "82"]
+    heights = re.findall(r'class="y" style="bottom:([\d.]+)%">([\d.]+)<', charts[0])
+    assert heights == [("0.0", "0"), ("60.1", "5")]
+    assert '<line x1="0" x2="1000" y1="39.9" y2="39.9"/>' in charts[0]
+
+
+@pytest.mark.parametrize(
+    ("duration", "shown"),
+    [
+        (21.0, "0.00% 0.0 s, 23.81% 5.0 s, 47.62% 10.0 s, 71.43% 15.0 s, 95.24% 20.0 s !"),
+        (3.0, "0.00% 0.0 s, 25.00% 0.8 s, 50.00% 1.5 s, 75.00% 2.2 s, 100.00% 3.0 s !"),
+        (320.0, "0.00% 0.0 s, 18.75% 1:00, 37.50% 2:00, 56.25% 3:00, 75.00% 4:00, 93.75% 5:00"),
+        (318.0, "0.00% 0.0 s, 18.87% 1:00, 37.74% 2:00, 56.60% 3:00, 75.47% 4:00, 94.34% 5:00 !"),
+    ],
+)
+def test_at_most_eight_round_times_stand_below_the_last_chart(duration: float, shown: str) -> None:
+    """What stands in the last 6 % ends there (!), or it would be cut off on a telephone."""
+    text = page(FlightSummary("flight.mcap", 0.0, duration))
+    found = re.findall(r'class="x( end)?" style="left:([\d.]+)%">([^<]*)<', text)
+    told = (f"{left}% {said}{' !' if end else ''}" for end, left, said in found)
+    assert ", ".join(told) == shown
+
+
+def test_the_track_is_drawn_with_north_up_in_pieces_of_a_phase() -> None:
+    """20 m north and from 10 m west to 10 m east, in a square of 400 with an edge of 24."""
+    text = page(marked())
+    track = data_of(text)["track"]
+    assert [at for at, _, _ in track] == [5.0, 12.0, 20.0, 30.0]
+    (x0, y0), east, there, west = [tuple(one[1:]) for one in track]
+    assert east[0] - x0 == pytest.approx(x0 - west[0], abs=0.1) == pytest.approx(176.0, abs=0.2)
+    assert (there[0], west[1]) == (east[0], there[1])
+    assert y0 - there[1] == pytest.approx(352.0, abs=0.3)
+    assert (min(west[0], there[1]), max(east[0], y0)) == pytest.approx((24.0, 376.0), abs=0.2)
+    flown = re.search(r'<section class="track">(.*?)</section>', text, re.DOTALL)
+    assert flown is not None
+    assert flown[1].index("#9aa0a6") < flown[1].index("#3b7dd8"), "the ground first"
+    assert "home" in flown[1]
+    later = marked()
+    later.phases = []
+    assert "#b07cc6" in page(later).split("Over time")[0].split("Track over")[1]
+
+
+def test_what_happened_stands_in_order_and_500_rows_are_the_most() -> None:
+    story = marked()
+    rows = re.findall(r"<tr([^>]*)><td>([^<]*)</td><td>([^<]*)</td></tr>", page(story))
+    assert rows == [
+        ("", "0.0 s", "ground"),
+        ("", "0.0 s", "control: pilot"),
+        ("", "10.0 s", "flight"),
+        ("", "12.5 s", "arm on=True: DONE"),
+        (' class="alarm"', "15.0 s", "gps: GPS health 2"),
+        ("", "20.0 s", "control: program"),
+        ("", "25.0 s", "9 × move, 5.0 s"),
+        (' class="alarm"', "40.0 s", "link_old: late"),
+    ]
+    story.commands = [Moment(12.0, "arm", {}, None, None)] * 494
+    many = re.findall(r"<td>([^<]*)</td></tr>", page(story))
+    assert (len(many), many[-1]) == (501, "and 1 more: m100link log events")
+    story.commands.pop()
+    assert "more: m100link log events" not in page(story)
+    assert "2026-11-23" in page(story)
+    assert "Nothing was recorded." in page(FlightSummary("empty.mcap"))
