@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import errno
+import json
 import random
 import tracemalloc
+from collections import Counter
 from pathlib import Path
+from typing import Any
 
 import pytest
 from mcap.reader import SeekingReader
@@ -15,7 +18,11 @@ from m100link import Attitude, Position
 from m100link.errors import UsageError
 from m100link.log import read, recorder, recover
 from m100link.log.channels import CHUNKS, LINK, RX
+from m100link.log.reading import Message
+from m100link.protocol.records import Battery
+from tests import known
 from tests.log.flight import URL, fly
+from tests.support import raw_frame
 
 pytestmark = pytest.mark.anyio
 
@@ -192,3 +199,149 @@ async def test_a_full_disk_ends_mending_with_what_to_do(
     monkeypatch.setattr(Writer, "finish", finish)
     with pytest.raises(UsageError, match="No space left on device"):
         recover(path, tmp_path / "mended.mcap")
+
+
+# -- a log of messages by hand ---------------------------------------------------------------------
+
+UTC = 1_800_000_000.0
+"""POSIX time of the loop's zero."""
+
+
+def made(path: Path, *messages: tuple[float, str, Any], part_size: int = 1 << 20) -> Path:
+    """Messages in this order: time of the loop, topic, and bytes or what becomes JSON."""
+    with path.open("wb") as stream:
+        writer: Any = Writer(stream, chunk_size=part_size)
+        writer.start(library="m100link 9")
+        channels: dict[str, int] = {}
+        numbers: Counter[str] = Counter()  # of each topic its own
+        for at, topic, content in messages:
+            if topic not in channels:
+                channels[topic] = writer.register_channel(topic, "json", 0)
+            data = content if isinstance(content, bytes) else json.dumps(content).encode()
+            log_time, publish_time = round((UTC + at) * 1e9), round(at * 1e9)
+            writer.add_message(channels[topic], log_time, data, publish_time, numbers[topic])
+            numbers[topic] += 1
+        writer.add_metadata("m100link", {RX: "77", "began": "once"})
+        writer.finish()
+    return path
+
+
+def came(
+    at: float, way: str, data: bytes, *pieces: tuple[int, int]
+) -> list[tuple[float, str, Any]]:
+    """Raw bytes, and how they came: µs after the first, and lengths."""
+    offsets, lengths = [one for one, _ in pieces], [one for _, one in pieces]
+    content = {"direction": way, "offset_us": offsets, "length": lengths}
+    return [(at, f"/m100/raw/{way}", data), (at, CHUNKS, content)]
+
+
+def test_reads_and_writes_come_in_order_of_time_with_their_own_times(tmp_path: Path) -> None:
+    """Sent bytes stand before received ones of the same time; up to a second lies between them."""
+    log = read(
+        made(
+            tmp_path / "flight.mcap",
+            *came(10.5, "tx", b"abcdef", (0, 1), (250_000, 5)),
+            *came(10.25, "rx", b"12345", (0, 2), (500, 0), (400_000, 3)),
+            (10.6, "/m100/event", {"event": "b"}),
+            (10.3, "/m100/event", {"event": "a"}),
+            *came(11.5, "rx", b"67", (0, 2)),
+            (
+                12.5,
+                CHUNKS,
+                {"direction": "tx", "offset_us": [0], "length": [4]},
+            ),  # its bytes are lost
+            *came(13.0, "rx", b"89", (0, 2)),
+        )
+    )
+    chunks = [(one.direction.value, round(one.at, 6), one.data) for one in log.chunks()]
+    assert chunks == [
+        *(("rx", 10.25, b"12"), ("rx", 10.2505, b""), ("tx", 10.5, b"a"), ("rx", 10.65, b"345")),
+        *(("tx", 10.75, b"bcdef"), ("rx", 11.5, b"67"), ("rx", 13.0, b"89")),
+    ]
+    assert [one.utc - one.at for one in log.chunks()] == pytest.approx([UTC] * 7, abs=1e-6)
+    moments = [
+        one.content()["event"] if isinstance(one, Message) else one.data for one in log.moments()
+    ]
+    assert moments == [b"12", b"", "a", b"a", "b", b"345", b"bcdef", b"67", b"89"]
+
+
+def test_a_summary_begins_with_the_first_moment_and_ends_with_the_last(tmp_path: Path) -> None:
+    log = read(
+        made(
+            tmp_path / "flight.mcap",
+            *came(10.5, "tx", b"abcdef", (0, 6)),
+            *came(10.25, "rx", b"12345", (0, 5)),
+            (14.75, "/m100/event", {}),
+            *came(12.0, "rx", b"67", (0, 2)),
+            (11.0, LINK, {"firmware": "3.1", "acceleration": "raw"}),
+        )
+    )
+    found = log.summary()
+    assert found.began_utc == pytest.approx(UTC + 10.25, abs=1e-6)
+    assert found.duration_s == pytest.approx(4.5, abs=1e-6)
+    assert (found.bytes_received, found.bytes_sent) == (7, 6)
+    assert found.messages == {RX: 2, "/m100/raw/tx": 1, CHUNKS: 3, "/m100/event": 1, LINK: 1}
+    assert (found.firmware, found.acceleration, found.is_whole) == ("3.1", "raw", True)
+    assert read(log.path, acceleration="fused").summary().acceleration == "fused"
+    nothing = read(made(tmp_path / "empty.mcap")).summary()
+    assert (nothing.began_utc, nothing.duration_s, nothing.firmware) == (None, 0.0, None)
+
+
+def test_samples_have_the_times_of_their_reads_and_columns_the_calendar(tmp_path: Path) -> None:
+    first, second = known.package("3.1"), known.package("3.1", changed=[Battery(7)])
+    frames = [raw_frame(b"\x02\x00" + one, sequence=n) for n, one in enumerate((first, second))]
+    size = len(frames[0])
+    data = b"".join(frames) + raw_frame(b"\x02\x00", is_ack=True, session=2)
+    rest = len(data) - size - 9
+    log = read(
+        made(
+            tmp_path / "flight.mcap",
+            (20.0, LINK, {"firmware": "3.1", "acceleration": "fused"}),
+            *came(20.5, "rx", data, (0, size), (40_000, 9), (75_000, rest)),
+            *came(20.9, "tx", frames[0], (0, size)),
+        )
+    )
+    samples = list(log.samples())
+    assert [one.received_at for one in samples] == pytest.approx([20.5, 20.575])
+    assert [one[Battery].percent for one in samples] == [63, 7]
+    names, rows = log.rows(Battery)
+    assert names == ("received_at", "utc", "battery.percent")
+    assert [list(row) for row in rows] == [
+        pytest.approx([20.5, UTC + 20.5, 63.0]),
+        pytest.approx([20.575, UTC + 20.575, 7.0]),
+    ]
+    assert [type(one).__name__ for one in log.heard(LINK, firmware=None)] == ["Message"]
+
+
+def test_what_is_mended_keeps_times_numbers_topics_and_metadata(tmp_path: Path) -> None:
+    source = made(
+        tmp_path / "flight.mcap",
+        (9.0, "/mine", b"own"),
+        *came(10.5, "tx", b"abcdef", (0, 6)),
+        (11.0, LINK, {"firmware": "3.1"}),
+        part_size=64,
+    )
+    target = tmp_path / "mended.mcap"
+    assert recover(source, target) == 4
+    with source.open("rb") as one, target.open("rb") as other:
+        before, after = ([*SeekingReader(each).iter_messages()] for each in (one, other))
+        assert [(c.topic, vars(m)) for _, c, m in before] == [
+            (c.topic, vars(m) | {"channel_id": old.channel_id})
+            for (_, c, m), (_, _, old) in zip(after, before, strict=True)
+        ]
+        other.seek(0)
+        [kept] = SeekingReader(other).iter_metadata()
+        channels = {c.topic: c.id for _, c, _ in after}
+        assert kept.metadata["began"] == "once"
+        assert kept.metadata[RX] not in ("77", *map(str, channels.values()))
+    assert read(target).summary() == read(source).summary()
+
+
+def test_parts_that_end_before_a_time_are_passed_over(tmp_path: Path) -> None:
+    rows = [one for n in range(40) for one in came(float(n), "rx", bytes(60), (0, 60))]
+    log = read(made(tmp_path / "flight.mcap", *rows, part_size=200))
+    assert len(list(log.moments())) == 40
+    late = [one.at for one in log.moments(since_utc=UTC + 30.0)]
+    assert late[-1] == 39.0
+    assert 9 <= len(late) <= 14
+    assert not log.damage
