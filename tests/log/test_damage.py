@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -160,3 +161,124 @@ def test_numbers_of_other_programs_are_no_holes() -> None:
         losses.hear(1, number, 10, True)
     assert losses.damage() == Damage(began_utc=1e-8, ended_utc=1e-8)
     assert str(losses.damage()) == "nothing is missing"
+
+
+# -- counting, by hand -----------------------------------------------------------------------------
+
+S = 10**9
+
+
+def heard_of(*rows: tuple[int, int, float] | tuple[int, int], ends: bool = True) -> Losses:
+    """Channel, number and time of each message, or begin and end of a damaged place."""
+    losses = Losses()
+    losses.topics = {1: "/a", 2: "/b"}
+    losses.is_ended = ends
+    for row in rows:
+        if len(row) == 2:
+            losses.place(*row)
+        else:
+            losses.hear(row[0], row[1], round(row[2] * S), True)
+    return losses
+
+
+@pytest.mark.parametrize(
+    ("given", "places", "size"),
+    [
+        ([(5, 9)], ((5, 9),), 4),
+        ([(5, 5), (9, 7)], (), 0),  # nothing
+        ([(5, 9), (9, 12)], ((5, 12),), 7),
+        ([(5, 9), (7, 8)], ((5, 9),), 4),
+        ([(5, 9), (3, 12)], ((3, 12),), 9),
+        ([(5, 9), (10, 12)], ((5, 9), (10, 12)), 6),
+    ],
+)
+def test_places_that_touch_are_one(
+    given: list[tuple[int, int]], places: tuple[tuple[int, int], ...], size: int
+) -> None:
+    damage = heard_of(*given).damage()
+    assert (damage.places, damage.damaged_bytes, bool(damage)) == (places, size, bool(places))
+
+
+@pytest.mark.parametrize(
+    ("rows", "missing", "spans"),
+    [
+        ([(1, 0, 5.0), (1, 1, 6.0)], {}, ()),
+        ([(1, 2, 5.0), (1, 3, 6.0)], {"/a": 2}, ((None, 5.0),)),
+        ([(1, 0, 5.0), (1, 4, 6.0), (1, 5, 7.0)], {"/a": 3}, ((5.0, 6.0),)),
+        # A damaged place between two messages that follow each other took none.
+        ([(1, 0, 5.0), (100, 200), (1, 1, 6.0)], {}, ()),
+        ([(1, 0, 5.0), (100, 200), (1, 2, 6.0)], {"/a": 1}, ((5.0, 6.0),)),
+        # The other topic shows which of the places it was: between the first and the last.
+        ([(2, 0, 4.0), (1, 0, 5.0), (9, 12), (1, 1, 6.0), (2, 2, 7.0)], {"/b": 1}, ((5.0, 6.0),)),
+        (
+            [(1, 0, 5.0), (9, 12), (1, 1, 6.0), (20, 22), (1, 3, 8.0), (2, 1, 9.0)],
+            {"/a": 1, "/b": 1},
+            ((5.0, 6.0), (6.0, 8.0)),
+        ),
+        # A message that is late makes the clock of a hole go back no further.
+        ([(1, 0, 5.0), (2, 0, 4.0), (9, 12), (1, 2, 6.0)], {"/a": 1}, ((5.0, 6.0),)),
+        ([(1, 0, 5.0), (1, 0, 6.0), (1, 1, 7.0)], {}, ()),
+    ],
+)
+def test_numbers_show_how_many_are_missing_and_where(
+    rows: list[Any], missing: dict[str, int], spans: tuple[Any, ...]
+) -> None:
+    damage = heard_of(*rows).damage()
+    assert (damage.missing, damage.spans_utc) == (missing, spans)
+    assert damage.missing_messages == sum(missing.values())
+    assert damage.began_utc == rows[0][2]
+
+
+def test_the_end_of_a_file_counts_what_no_number_shows() -> None:
+    losses = heard_of((1, 0, 5.0), (1, 1, 6.0), (9, 12))
+    losses.counts = {1: 5, 2: 2, 3: 1}
+    damage = losses.damage()
+    assert damage.missing == {"/a": 3, "/b": 2, "": 1}
+    assert damage.spans_utc == ((6.0, None),)
+    losses.counts = {1: 2}
+    assert losses.damage().missing == {}
+    losses.hear(7, 0, 7 * S, False)  # of a topic that the file does not name
+    assert losses.damage().missing == {"": 1}
+
+
+@pytest.mark.parametrize(
+    ("damage", "said"),
+    [
+        (Damage(), "nothing is missing"),
+        (
+            Damage(is_ended=False),
+            "it has no end: its process was killed or had no more disk, or writes it still",
+        ),
+        (
+            Damage(places=((1000, 2500),)),
+            "1,500 bytes are damaged (bytes 1,000 to 2,499); no message is missing",
+        ),
+        (
+            Damage(places=((1, 2),), is_ended=False),
+            (
+                "1 bytes are damaged (bytes 1 to 1); nobody knows how many messages are missing; "
+                "its end is missing"
+            ),
+        ),
+        (
+            Damage(is_changed=True),
+            "the file was changed: its checksum is wrong; no message is missing",
+        ),
+        (
+            Damage(missing={"/b": 2, "": 1}, spans_utc=((None, 12.25), (13.5, None)), began_utc=10),
+            (
+                "3 messages are missing at least (1 ?, 2 /b); "
+                "missing is from the beginning to 2.2 s, 3.5 s to the end"
+            ),
+        ),
+        (
+            Damage(places=tuple((10 * n, 10 * n + 1) for n in range(5))),
+            (
+                "5 bytes are damaged (bytes 0 to 0, 10 to 10, 20 to 20 and 2 more); "
+                "no message is missing"
+            ),
+        ),
+    ],
+)
+def test_damage_is_said_in_words(damage: Damage, said: str) -> None:
+    assert str(damage) == said
