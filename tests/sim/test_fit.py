@@ -166,6 +166,10 @@ def test_thrust_by_battery_is_found_where_the_battery_empties() -> None:
 
 def test_a_limit_that_no_command_reaches_is_not_found() -> None:
     seen = recorded(HIDDEN, steering(5, 5.0, BY_TILT, 20.0, 46.0, 0.0))
+    chance = Random(9)
+    for step in range(300):  # at rest, much later
+        seen.attitude.append((900.0 + step * STEP, 0.0, 0.0, 0.0))
+        seen.acceleration.append((900.0 + step * STEP, *(chance.gauss(0.0, 0.3) for _ in "xyz")))
     found = fit(ReplayedSpans([seen]), replace(HIDDEN, maximum_tilt_deg=30.0, drag=0.25))
     assert found.airframe.maximum_tilt_deg == 30.0
     assert "maximum_tilt_deg" not in {one.name for one in found.found}
@@ -173,6 +177,10 @@ def test_a_limit_that_no_command_reaches_is_not_found() -> None:
     assert drag.before == 0.25
     assert drag.value == pytest.approx(0.15, abs=0.01)
     assert 0.0 < drag.error < 0.05
+    [noise] = [one for one in found.found if one.name == "accelerometer_noise"]
+    assert (noise.before, noise.value) == (0.05, found.airframe.accelerometer_noise)
+    assert noise.value == pytest.approx(0.3, rel=0.1)
+    assert noise.error == pytest.approx(0.1 * noise.value)
 
 
 def test_the_same_airframe_flies_the_same_flight() -> None:
