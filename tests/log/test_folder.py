@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import asyncio
+import fcntl
 import os
 import threading
 from pathlib import Path
+from typing import Any
 
 import pytest
+from mcap.writer import Writer
 
 from m100link import connect
 from m100link.apps.agent.connect import by_driver, by_url
 from m100link.errors import NoAircraft
 from m100link.log import Recorder, read
-from m100link.log.folder import Flights, default_folder
+from m100link.log.folder import Flights, default_folder, is_log_name
 from m100link.sim import Driver, VirtualAircraft
 from tests.waiting import PATIENCE, blocking_until
 
@@ -246,3 +249,64 @@ async def test_a_disk_that_stands_still_keeps_nobody_from_flying(
     aircraft = await by_url("sim://", flights=flights)()
     await aircraft.aclose()
     await asyncio.to_thread(blocking_until, lambda: len(files_in(tmp_path)) == 1)
+
+
+def log_of(folder: Path, number: int, *, library: str = "m100link 9", size: int = 0) -> Path:
+    """A log of some writer, the later ones newer, filled up to a size."""
+    path = folder / f"m100link-20260101-00000{number}.mcap"
+    with path.open("wb") as stream:
+        writer: Any = Writer(stream)
+        writer.start(library=library)
+        writer.finish()
+        stream.truncate(max(size, stream.tell()))
+    os.utime(path, (1_700_000_000 + number, 1_700_000_000 + number))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("sizes", "keep", "keep_mb", "left"),
+    [
+        ([0, 0, 0], 1, 0, [2]),
+        ([0, 0, 0], 0, 1, [0, 1, 2]),
+        ([400_000, 600_000, 400_000], 0, 1, [1, 2]),  # of the newest a megabyte
+        ([400_000, 600_001, 400_000], 0, 1, [2]),
+        ([0, 0, 2_000_000], 0, 1, [2]),  # the newest stays, whatever it takes
+        ([0, 0, 2_000_000], 5, 0, [0, 1, 2]),
+        ([0, 0, 0], 0, 0, [0, 1, 2]),
+    ],
+)
+def test_the_newest_stays_and_older_ones_while_there_is_room(
+    tmp_path: Path, sizes: list[int], keep: int, keep_mb: int, left: list[int]
+) -> None:
+    paths = [log_of(tmp_path, number, size=size) for number, size in enumerate(sizes)]
+    Flights(tmp_path, keep=keep, keep_mb=keep_mb, tell=Told()).make_room()
+    assert [number for number, path in enumerate(paths) if path.exists()] == left
+
+
+def test_what_somebody_writes_or_somebody_else_wrote_is_left_alone(tmp_path: Path) -> None:
+    ours, written = log_of(tmp_path, 0), log_of(tmp_path, 1)
+    others = [log_of(tmp_path, 2, library="m100linked"), log_of(tmp_path, 3, library="")]
+    newest = log_of(tmp_path, 4)
+    with written.open("rb") as stream:
+        fcntl.flock(stream, fcntl.LOCK_EX)
+        Flights(tmp_path, keep=1, tell=Told()).make_room()
+        assert files_in(tmp_path) == [written, *others, newest]
+    Flights(tmp_path, keep=1, tell=Told()).make_room()
+    assert files_in(tmp_path) == [*others, newest]
+    assert not ours.exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "is_one"),
+    [
+        ("m100link-20260101-120000.mcap", True),
+        ("m100link-20260101-120000-2.mcap", True),
+        ("m100link-2026010-120000.mcap", False),
+        ("m100link-20260101-120000.mcap.part", False),
+        ("m100link-20260101-120000-.mcap", False),
+        ("a/m100link-20260101-120000.mcap", False),
+        ("m100link-20260101-120000.mcap\n", False),
+    ],
+)
+def test_a_log_has_a_name_of_its_time(name: str, is_one: bool) -> None:
+    assert is_log_name(name) is is_one
