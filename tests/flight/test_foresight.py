@@ -11,6 +11,7 @@ import anyio
 import pytest
 
 from m100link import Arrival, Control, Envelope, GuardRefused, Guards, UsageError
+from m100link.flight import foresight
 from m100link.flight.foresight import (
     Foresight,
     foresee_climb,
@@ -20,6 +21,7 @@ from m100link.flight.foresight import (
 )
 from m100link.flight.guards import GuardKeeper
 from m100link.geodesy import LocalFrame
+from m100link.protocol.records import Attitude, Position, quaternion
 from tests.rig import Rig, rig
 
 pytestmark = pytest.mark.anyio
@@ -233,3 +235,112 @@ async def test_on_the_ground_it_is_refused_and_an_unknown_position_is_reported()
         seen = [one.seen for one in foresee_climb(flown.aircraft.state, guards, 10.0).refusals]
         assert any("the position is needed and is" in one for one in seen)
         assert any("battery" in one for one in seen)
+
+
+# -- by hand ---------------------------------------------------------------------------------------
+# Of speed 5 m/s, the last 10 m are flown at half of what remains per second, to half a metre: that
+# takes 2 ln 20 = 5.99 s. A circle is reached at 3 m/s, of which the last 6 m take 2 ln 12 = 4.97 s.
+
+
+class Standing:
+    """An aircraft at a place, in an attitude, with guards that allow all."""
+
+    fastest_m_s = 10.0
+
+    def __init__(self, *records: Any) -> None:
+        self.records = {type(one): one for one in records}
+
+    def fresh(self, kind: type[Any], *, within: float | None = None) -> Any:
+        del within
+        return self.records.get(kind)
+
+    def check(self, *_: object, **__: object) -> None:
+        """Allowed."""
+
+    check_round_trip = check_target = check
+
+
+METRE = math.degrees(1.0 / 6_371_000.0)
+LATITUDE, LONGITUDE = 60.0, 20.0
+HERE = Position(math.radians(LATITUDE), math.radians(LONGITUDE), 99.0, 12.0, 5)
+WEST = Attitude(*quaternion(0.0, 0.0, math.radians(-170.0)))
+
+
+@pytest.mark.parametrize(
+    ("north", "east", "height", "speed", "yaw", "expected"),
+    [
+        # Distance, climb, turn, and seconds without what stopping takes.
+        (50, 0, 12, 5.0, None, (50, 0, 0, 8.0 + 5.99)),
+        (0, -50, 12, 5.0, None, (50, 0, 0, 8.0 + 5.99)),
+        (-30, 40, 12, 2.5, None, (50, 0, 0, 18.0 + 2 * math.log(10))),
+        (3, 4, 12, 5.0, None, (5, 0, 0, 2 * math.log(10))),  # all of it is braking
+        (0.3, 0, 12, 5.0, None, (0.3, 0, 0, 0.0)),
+        (0.3, 0, 72, 5.0, None, (0.3, 60, 0, 20.0)),  # the longest of the three counts
+        (0.3, 0, 3, 5.0, None, (0.3, -9, 0, 3.0)),
+        (0.3, 0, 12, 5.0, 100.0, (0.3, 0, -90, 1.0)),  # the short way, past south
+        (0.3, 0, 12, 5.0, -80.0, (0.3, 0, 90, 1.0)),
+        (50, 0, 72, 5.0, -80.0, (50, 60, 90, 20.0)),
+        (50, 0, 12, 0.0, None, (50, 0, 0, 0.0)),
+    ],
+)
+def test_a_flight_takes_the_longest_of_way_climb_and_turn(
+    north: float,
+    east: float,
+    height: float,
+    speed: float,
+    yaw: float | None,
+    expected: tuple[float, float, float, float],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(foresight, "require_in_the_air", lambda *_: None)
+    monkeypatch.setattr(foresight, "position_of", lambda *_: None)
+    monkeypatch.setattr(foresight, "heading_of", lambda *_: None)
+    aircraft: Any = Standing(HERE, WEST)
+    found = foresee_flight(
+        aircraft,
+        aircraft,
+        latitude_deg=LATITUDE + north * METRE,
+        longitude_deg=LONGITUDE + east * METRE / math.cos(math.radians(LATITUDE)),
+        height=height,
+        speed=speed,
+        yaw_deg=yaw,
+    )
+    distance, climb_m, turn, seconds = expected
+    assert found.distance_m == pytest.approx(distance, rel=0.005)
+    assert (found.climb_m, found.turn_deg) == pytest.approx((climb_m, turn))
+    assert found.seconds == pytest.approx(seconds + 1.5, rel=0.005)
+    assert found.battery_percent == pytest.approx(100 * found.seconds / (17 * 60))
+    assert bool(found.refusals) is (speed == 0)
+
+
+@pytest.mark.parametrize(
+    ("away", "radius", "turns", "distance", "seconds"),
+    [
+        (0, 20, 1.0, 20 + 2 * math.pi * 20, 14 / 3 + 4.97 + 2 * math.pi * 20 / 4),
+        (50, 20, 0.5, 30 + math.pi * 20, 24 / 3 + 4.97 + math.pi * 20 / 4),
+        (21, 20, 2.0, 1 + 4 * math.pi * 20, 2 * math.log(2) + 4 * math.pi * 20 / 4),
+    ],
+)
+def test_an_orbit_takes_the_way_to_its_circle_and_its_rounds(
+    away: float,
+    radius: float,
+    turns: float,
+    distance: float,
+    seconds: float,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(foresight, "require_in_the_air", lambda *_: None)
+    monkeypatch.setattr(foresight, "position_of", lambda *_: None)
+    aircraft: Any = Standing(HERE, WEST)
+    place = {"latitude_deg": LATITUDE + away * METRE, "longitude_deg": LONGITUDE}
+    found = foresee_orbit(
+        aircraft, aircraft, **place, height=12.0, radius=radius, speed=4.0, turns=turns
+    )
+    assert found.distance_m == pytest.approx(distance, rel=0.01)
+    assert found.seconds == pytest.approx(seconds + 1.5, rel=0.01)
+    assert found.refusals == ()
+    assert foresee_climb(aircraft, aircraft, 42.0).seconds == pytest.approx(10.0 + 1.5)
+    assert foresee_turn(aircraft, aircraft, 10.0).turn_deg == pytest.approx(180.0)
+    nowhere: Any = Standing()
+    assert foresee_climb(nowhere, nowhere, 42.0).climb_m == 0.0
+    assert foresee_turn(nowhere, nowhere, 10.0).turn_deg == 0.0
