@@ -7,9 +7,6 @@ import pytest
 from m100link.apps.agent.messages import Steer
 from m100link.apps.agent.orders import AfterStop
 from m100link.apps.fleet.expiry import (
-    BROKEN_S,
-    MAX_AGE_S,
-    MOST_AGE_S,
     Dropped,
     OrderExpiry,
     SetpointStream,
@@ -29,14 +26,14 @@ def ages() -> OrderExpiry:
 def test_what_is_in_order_is_heard(ages: OrderExpiry) -> None:
     ages.hear(1, ANEW, 10.0, 10.1)
     ages.hear(1, ANEW, 10.0, 10.2)  # two at once
-    ages.hear(1, ANEW, 11.0, 11.0 + MOST_AGE_S)
+    ages.hear(1, ANEW, 11.0, 16.0)
     ages.revoke(20.0)
     ages.hear(1, ANEW, 20.01, 20.1)  # after the answer of what revoked
 
 
 def test_what_is_old_is_refused(ages: OrderExpiry) -> None:
     with pytest.raises(GuardRefused, match="older than 5 s") as caught:
-        ages.hear(1, ANEW, 10.0, 10.1 + MOST_AGE_S)
+        ages.hear(1, ANEW, 10.0, 15.1)
     assert caught.value.guard == "order_age"
     with pytest.raises(GuardRefused, match="older than 5 s"):
         ages.hear(1, ANEW, 0.0, 1e6)  # who does not say when
@@ -79,6 +76,35 @@ def test_what_was_made_by_the_clock_of_before_a_start_is_refused(ages: OrderExpi
         require_young(float("inf"), 20.0)
 
 
+@pytest.mark.parametrize(
+    ("made_at", "now", "seen", "measured", "limit"),
+    [
+        (3.0, 8.0, None, 0.0, 0.0),  # five seconds old, and not more
+        (3.0, 8.25, "an order of 5.2 s ago", 5.25, 5.0),
+        (9.0, 8.0, None, 0.0, 0.0),  # a second ahead, and not more
+        (9.25, 8.0, "an order from 1.2 s in the future", -1.25, -1.0),
+    ],
+)
+def test_an_order_is_done_from_five_seconds_after_to_a_second_before_it_was_made(
+    made_at: float, now: float, seen: str | None, measured: float, limit: float
+) -> None:
+    if seen is None:
+        require_young(made_at, now)
+        return
+    with pytest.raises(GuardRefused, match=seen) as caught:
+        require_young(made_at, now)
+    assert (caught.value.measured, caught.value.limit) == (measured, limit)
+
+
+def test_a_step_is_as_old_as_the_request_that_it_is_of(ages: OrderExpiry) -> None:
+    ages.revoke(10.0)
+    ages.check(ANEW, 10.5, 10.5, began_at=10.25)
+    with pytest.raises(GuardRefused, match="asked for after") as caught:
+        ages.check(ANEW, 10.5, 10.75, began_at=9.5)
+    assert (caught.value.measured, caught.value.limit) == (0.25, 5.0)
+    ages.check(AfterStop.DONE, 10.5, 10.5, began_at=9.5)
+
+
 # -- which setpoints fly: each that could be wrong, beside one that is not -------------------------
 
 
@@ -112,11 +138,20 @@ def test_another_lease_is_stale(stream: SetpointStream, fence: int) -> None:
     assert drop(stream, 10.1, 10.1, begins=True, fence=fence) is Dropped.STALE
 
 
-@pytest.mark.parametrize("late", [MAX_AGE_S + 0.01, -MAX_AGE_S - 0.01])
-def test_what_was_long_on_its_way_or_is_from_the_future_is_late(
-    stream: SetpointStream, late: float
+@pytest.mark.parametrize(
+    ("sent_at", "now", "dropped"),
+    [
+        (0.0, 0.2, None),
+        (0.2, 0.0, None),
+        (10.3, 10.51, Dropped.LATE),
+        (10.51, 10.3, Dropped.LATE),
+        (10.0, 11.0, Dropped.LATE),
+    ],
+)
+def test_what_was_more_than_0_2_s_on_its_way_or_is_from_the_future_is_late(
+    sent_at: float, now: float, dropped: Dropped | None
 ) -> None:
-    assert drop(stream, 10.5 - late, 10.5, begins=True) is Dropped.LATE
+    assert drop(SetpointStream(), sent_at, now, begins=True) is dropped
 
 
 @pytest.mark.parametrize("sent_at", [10.0, 9.95])
@@ -125,7 +160,8 @@ def test_what_came_or_was_overtaken_is_repeated(stream: SetpointStream, sent_at:
 
 
 def test_a_stream_that_was_cut_does_not_go_on_until_it_is_begun(stream: SetpointStream) -> None:
-    again = 10.06 + BROKEN_S
+    assert drop(stream, 11.04, 11.04) is None, "a second without one ends it"
+    again = 12.05
     assert drop(stream, again, again) is Dropped.BROKEN
     assert drop(stream, again + 0.05, again + 0.05) is Dropped.BROKEN, "that does not begin it"
     assert drop(stream, again + 0.1, again + 0.1, begins=True) is None

@@ -65,10 +65,95 @@ def test_an_unsure_clock_comes_before_the_place() -> None:
     assert steering().step(10.0, 0.05, (20, 0, 5)) is not None
 
 
+@pytest.mark.parametrize("at", [-5.0, 35.0])
+@pytest.mark.parametrize(
+    ("off", "asked"),
+    [
+        ((0.5, 0.0, 0.0), (-0.3, 0.0, 0.0)),
+        ((0.0, -0.25, 0.0), (0.0, 0.15, 0.0)),
+        ((0.0, 0.0, 0.75), (0.0, 0.0, -0.75)),
+        ((0.0, 0.0, -0.5), (0.0, 0.0, 0.5)),
+    ],
+)
+def test_each_metre_off_asks_for_0_6_m_s_back_and_upwards_for_1(
+    at: float, off: tuple[float, float, float], asked: tuple[float, float, float]
+) -> None:
+    first, second = (0.0, 2.0, 6.0, 5.0), (40.0, 9.0, 8.0, 12.0)
+    place = first if at < 0 else second
+    one = track("a1", first, (30.0, *second[1:]))
+    here = (place[1] + off[0], place[2] + off[1], place[3] + off[2])
+    # A second after its end it counts as flown; before its begin it stands, too.
+    steers = TrackSteering(one, 10.0)
+    assert steers.step(min(at, 30.9), 0.0, here) == pytest.approx(asked)
+    assert steers.farthest_m == pytest.approx(max(map(abs, off)))
+
+
+def test_upwards_it_asks_for_what_comes_in_0_3_s_and_sideways_in_0_65_s() -> None:
+    one = track("a1", (0, 0, 0, 5), (10, 20, -12, 14))
+    asked = TrackSteering(one, 10.0).step(4.0, 0.0, one.moment(4.0).place)
+    north, east, _ = one.moment(4.65).velocity
+    assert asked == pytest.approx((north, east, one.moment(4.3).velocity[2]), abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("early", "bound", "here", "why", "measured", "limit", "seen"),
+    [
+        (120.1, 0.0, (0, 0, 5), Why.EARLY, 120.1, 120.0, "would begin in 120 s; 120 s are"),
+        (0.0, 0.0, (0, 0, 5), Why.LATE, 0.0, 0.0, "should have begun"),
+        (-2.5, 0.0, (0, 0, 5), Why.LATE, 2.5, 0.0, "should have begun 2.50 s ago"),
+        (9.0, 0.0625, (0, 0, 5), Why.CLOCK, 0.0625, 0.05, "by 62 ms; 50 ms are allowed"),
+        (9.0, math.inf, (0, 0, 5), Why.CLOCK, math.inf, 0.05, "by any amount; 50 ms are"),
+        (9.0, -0.01, (0, 0, 5), Why.CLOCK, -0.01, 0.05, "by any amount; 50 ms are"),
+        (9.0, 0.0, (0, 0, 7), Why.PLACE, 2.0, 1.5, "is 2.0 m from where its track begins; 1.5 m"),
+        (9.0, 0.0, (1.5, 0.5, 5), Why.PLACE, math.sqrt(2.5), 1.5, "is 1.6 m from where"),
+    ],
+)
+def test_what_is_not_ready_says_what_was_measured_and_what_is_allowed(
+    early: float,
+    bound: float,
+    here: tuple[float, float, float],
+    why: Why,
+    measured: float,
+    limit: float,
+    seen: str,
+) -> None:
+    for ready in ((120.0, 0.05, (1.5, 0.0, 5.0)), (0.01, 0.0, (0.0, 0.0, 3.5))):
+        steering().require_ready(*ready)
+    with pytest.raises(ShowRefused) as caught:
+        steering().require_ready(early, bound, here)
+    assert (caught.value.why, caught.value.limit) == (why, limit)
+    assert caught.value.measured == pytest.approx(measured)
+    assert seen in caught.value.seen
+
+
+def test_it_takes_off_below_its_first_point_at_any_height_and_nowhere_else() -> None:
+    one = TrackSteering(track("a1", (0, 30, -20, 5), (10, 40, -20, 5)), 10.0)
+    for height in (-3.0, 0.0, 50.0):
+        one.require_below((30.0, -18.5, height))
+        one.require_below((31.5, -20.0, height))
+    for here, off in (((30.0, -18.4, 5.0), 1.6), ((-20.0, 30.0, 5.0), 50 * math.sqrt(2))):
+        with pytest.raises(ShowRefused) as caught:
+            one.require_below(here)
+        assert (caught.value.why, caught.value.limit) == (Why.PLACE, 1.5)
+        assert caught.value.measured == pytest.approx(off)
+
+
+def test_a_track_that_is_faster_than_the_guards_allow_is_refused() -> None:
+    """From rest to rest 40 m in 10 s: 6 m/s in the middle."""
+    fast = track("a1", (0, 0, 0, 5), (10, 0, -40, 25))
+    TrackSteering(fast, 6.1).require_fast_enough()
+    with pytest.raises(ShowRefused) as caught:
+        TrackSteering(fast, 5.9).require_fast_enough()
+    assert (caught.value.why, caught.value.limit) == (Why.SPEED, 5.9)
+    assert caught.value.measured == pytest.approx(6.0, abs=0.05)
+
+
 @pytest.mark.parametrize("bound", [0.051, math.nan])
 def test_a_bound_that_is_too_wide_or_none_ends_it(bound: float) -> None:
-    with pytest.raises(LeftShow):
+    with pytest.raises(LeftShow, match=r"by 51 ms|by any amount") as caught:
         steering().step(10.0, bound, (20, 0, 5))
+    assert (caught.value.at, caught.value.limit) == (10.0, 0.05)
+    assert caught.value.measured == pytest.approx(bound, nan_ok=True)
     with pytest.raises(ShowRefused):
         steering().require_ready(5.0, bound, (0, 0, 5))
 
