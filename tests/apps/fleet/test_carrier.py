@@ -2,30 +2,41 @@
 
 from __future__ import annotations
 
+import math
 import random
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager, suppress
+from types import SimpleNamespace
+from typing import Any
 
 import anyio
+import anyio.lowlevel
 import pytest
 
 from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient, Hearing
 from m100link.apps.agent.control_session import ControlSession
-from m100link.apps.agent.lease import Lease, LeaseHeld
+from m100link.apps.agent.latency import Offset
+from m100link.apps.agent.lease import Lease, LeaseHeld, TakeOver
 from m100link.apps.agent.messages import (
     Ask,
+    Event,
     EventTopic,
     LeaseChanged,
     Message,
     OrderOutcome,
+    Stage,
     State,
+    Steer,
+    SteerRefused,
+    Telemetry,
 )
 from m100link.apps.agent.orders import FlyTo
+from m100link.apps.fleet.carrier import FleetChannel
 from m100link.apps.fleet.client import Fleet
 from m100link.apps.fleet.keys import Keys
-from m100link.apps.fleet.payloads import pack
-from m100link.errors import GuardRefused, LinkError, M100Error, StaleLease
+from m100link.apps.fleet.payloads import OrderReply, Outcome, Progress, pack, unpack_steer
+from m100link.errors import GuardRefused, LinkError, M100Error, StaleLease, UsageError
 from m100link.protocol.records import Position
 from m100link.protocol.setpoint import Setpoint
 from m100link.sim.virtual import VirtualAircraft
@@ -451,3 +462,242 @@ async def test_an_order_that_ends_something_waits_behind_no_others(rig: Rig) -> 
         refused = [one.id for one in told if isinstance(one, OrderOutcome)]
         assert (2000 + number not in refused) is order.ends, order
     channel.close()
+
+
+# -- times and leases, without a network: what goes out and comes in, by a given clock -----------
+
+
+class Alone:
+    """A channel to one agent, whose clock shows ``ahead`` seconds more."""
+
+    def __init__(self, *, hears: bool = True, ahead: float = 100.0) -> None:
+        self.now, self.known = 50.0, Offset(ahead, 0.03125)
+        self.sent: list[bytes] = []
+        self.given: list[Message] = []
+        self.asked: list[tuple[str, orders.Order, dict[str, Any]]] = []
+        self.replies: list[OrderReply | M100Error] = []
+        self.clock: Any = SimpleNamespace(
+            offset=lambda _now: self.known, way_s=0.0625, silent_s=lambda _now: 0.5
+        )
+        bus = SimpleNamespace(
+            publish=lambda key: SimpleNamespace(put=self.sent.append, close=lambda: None, key=key)
+        )
+
+        def asker(name: str) -> Any:
+            async def ask(order: orders.Order, **how: Any) -> OrderReply:
+                self.asked.append((name, order, how))
+                return self.answer()
+
+            async def renew(lease: Lease, within: float) -> OrderReply:
+                return await ask(orders.RenewLease(lease.token), within=within)
+
+            async def take_lease(request: tuple[Lease, float]) -> tuple[Lease, float]:
+                return request
+
+            return SimpleNamespace(
+                bus=bus,
+                keys=Keys(SITE, "a1"),
+                its_clock=self.clock,
+                its_time=lambda at: 150.0 if at == math.inf else 100.0 + at,
+                lease_request=lambda token, clock, since: (self.granted, clock - 1.0),
+                take_lease=take_lease,
+                ask=ask,
+                renew=renew,
+            )
+
+        self.granted = Lease("anna", "s" * 64, 7)
+        self.channel = FleetChannel(asker, hears=hears)
+        self.channel._clock = lambda: self.now
+        self.channel._on_message = self.given.append
+
+    def answer(self) -> OrderReply:
+        reply = self.replies.pop(0) if self.replies else LinkError("no answer")
+        if isinstance(reply, M100Error):
+            raise reply
+        return reply
+
+    async def grant(self, lease: Lease) -> None:
+        self.granted = lease
+        self.channel.send(Ask(1, orders.AcquireLease("anna")))
+        await anyio.sleep(0.01)
+
+    def steers(self) -> list[tuple[float, bool]]:
+        """Stamp of each setpoint that left, and whether it begins a stream."""
+        read = [unpack_steer(one, {7: "s" * 64}.get) for one in self.sent]
+        assert all(one is not None for one in read)
+        return [(one[0].sent_at, one[1]) for one in read if one is not None]
+
+
+def reply(text: str = "", number: int = 0, offer: str = "") -> OrderReply:
+    return OrderReply("", "a1", "5c", Progress.DONE, Outcome.OK, None, text, number, offer)
+
+
+LEASE = Lease("anna", "s" * 64, 7)
+
+
+async def test_a_setpoint_says_by_the_clock_of_the_agent_when_it_was_decided() -> None:
+    one = Alone()
+    one.channel.fly(LEASE, NORTH, 0.4)
+    one.channel.fly(LEASE, NORTH, 0.4, made_at=49.75)
+    assert one.steers() == [(150.0, True), (149.75, False)]
+    steer = unpack_steer(one.sent[0], {7: "s" * 64}.get)
+    assert steer is not None
+    assert (steer[0].fence, steer[0].lifetime, steer[0].setpoint) == (7, 0.4, NORTH)
+
+
+async def test_a_stream_begins_with_what_comes_after_half_a_second_of_none() -> None:
+    one = Alone()
+    for pause in (0.0, 0.5, 0.5625, 0.25):
+        one.now += pause
+        one.channel.fly(LEASE, NORTH, 0.4)
+    one.channel.fly(LEASE, NORTH, 0.4, begins=True)
+    one.now += 5.0
+    one.channel.fly(LEASE, NORTH, 0.4, begins=False)
+    assert [begins for _, begins in one.steers()] == [True, False, True, False, True, False]
+
+
+@pytest.mark.parametrize(
+    ("bound", "way", "silent", "refused"),
+    [
+        (0.1, 0.1, 4.0, ""),
+        (0.11, 0.05, 0.5, "the clock of a1 is not known to 0.1 s"),
+        (0.05, 0.11, 0.5, "the clock of a1 is not known to 0.1 s"),
+        (None, 0.05, 0.5, "the clock of a1 is not known to 0.1 s"),
+        (0.05, 0.05, 4.1, "a1 has answered nothing for 4 s"),
+    ],
+)
+async def test_no_setpoint_leaves_by_a_clock_that_may_be_wrong_by_more_than_0_1_s(
+    bound: float | None, way: float, silent: float, refused: str
+) -> None:
+    one = Alone()
+    one.clock.offset = lambda _now: None if bound is None else Offset(100.0, bound)
+    one.clock.way_s, one.clock.silent_s = way, lambda _now: silent
+    if refused:
+        with pytest.raises(UsageError, match=refused):
+            one.channel.fly(LEASE, NORTH, 0.4)
+    else:
+        one.channel.fly(LEASE, NORTH, 0.4)
+    assert len(one.sent) == (not refused)
+
+
+@pytest.mark.parametrize(
+    ("its", "ours"),
+    [
+        (149.75, 49.75),
+        (150.0, 50.0),
+        (151.0, 50.0),  # nothing is from later than now
+        (148.0, 48.0),
+        (147.9, None),  # older than two seconds
+        (50.0, None),
+    ],
+)
+async def test_what_the_agent_tells_has_the_time_of_this_side(
+    its: float, ours: float | None
+) -> None:
+    one = Alone()
+    told: list[Message] = [Telemetry(b"", "3.1", its)]
+    told += [State(its), Event(4, its, "info", "text")]
+    for message in told:
+        one.channel._deliver_in_time(message)
+    found = [message.received_at for message in one.given if isinstance(message, Telemetry)]
+    found += [message.at for message in one.given if isinstance(message, State | Event)]
+    # Events are kept for ever; what else is old says nothing of how it is.
+    assert found == ([ours] * 3 if ours is not None else [its - 100.0])
+    assert one.channel.old == (0 if ours is not None else 2)
+
+
+async def test_before_the_clock_of_the_agent_is_known_it_is_now() -> None:
+    one = Alone()
+    one.clock.offset = lambda _now: None
+    one.channel._deliver_in_time(State(3.0))
+    assert [m.at for m in one.given if isinstance(m, State)] == [50.0]
+
+
+async def test_the_eight_newest_leases_can_be_given_back() -> None:
+    one = Alone()
+    for number in range(1, 11):
+        await one.grant(Lease("anna", f"secret {number}", number))
+    assert [outcome.lease.number for outcome in outcomes(one)] == list(range(1, 11))  # type: ignore[union-attr]
+    assert sorted(one.channel._leases) == list(range(3, 11))
+    one.replies.append(reply())
+    await one.channel.let_go()
+    name, order, how = one.asked[-1]
+    assert (name, order) == ("", orders.ReleaseLease())
+    assert (how["fence"], how["token"]) == (10, "secret 10")
+
+
+def outcomes(one: Alone) -> list[OrderOutcome]:
+    return [message for message in one.given if isinstance(message, OrderOutcome)]
+
+
+async def test_an_offer_names_both_and_holds_for_ten_seconds() -> None:
+    one = Alone()
+    one.replies.append(reply("bert", 6, "offered"))
+    one.channel.send(Ask(3, orders.AskTakeOver("anna"), sent_at=49.5))
+    await anyio.sleep(0.01)
+    [outcome] = outcomes(one)
+    assert (outcome.id, outcome.offer) == (3, TakeOver("anna", "bert", "offered", 6, 60.0))
+    name, order, how = one.asked[-1]
+    assert (name, order) == ("anna", orders.AskTakeOver("anna"))
+    # Made now, by the agent's clock, and wanted when the front says.
+    assert how == {"fence": 0, "token": "", "clock": 150.0, "since": 149.5}
+
+
+async def test_a_lease_is_renewed_every_0_4_s_and_counts_as_lost_after_3_s_unseen() -> None:
+    one = Alone()
+    await one.grant(LEASE)
+    for tick in range(16):  # a fifth of a second each
+        one.now = 50.0 + tick * 0.2000001
+        one.channel.send(Ask(0, orders.RenewLease(LEASE.token)))
+        await anyio.lowlevel.checkpoint()
+    renewed = [how["within"] for _, order, how in one.asked if order.label == "renew lease"]
+    assert renewed == [3.0] * 8
+    changes = [(m.number, m.name) for m in one.given if isinstance(m, LeaseChanged)]
+    assert changes == [(7, "anna"), (0, "")]
+
+
+@pytest.mark.parametrize("hears", [True, False])
+async def test_a_refused_renewal_ends_the_lease_of_a_front_that_only_asks(hears: bool) -> None:
+    one = Alone(hears=hears)
+    await one.grant(LEASE)
+    late, stale = GuardRefused("late", guard="order_age"), StaleLease("it is not in force")
+    for error in (late, stale):
+        one.now += 0.5
+        one.replies.append(error)
+        one.channel.send(Ask(0, orders.RenewLease(LEASE.token)))
+        await anyio.sleep(0.01)
+        is_lost = error is stale and not hears
+        assert (one.channel._holder.number, one.channel.lost) == (
+            (0, stale) if is_lost else (7, None)
+        )
+
+
+async def test_sixty_four_orders_wait_for_answers_and_what_has_its_answer_does_not() -> None:
+    one, gate = Alone(), anyio.Event()
+
+    async def ask(order: orders.Order, **_how: Any) -> OrderReply:
+        await gate.wait()
+        return reply(order.label)
+
+    one.channel._asker.ask = ask  # type: ignore[assignment,method-assign]
+    for number in range(1, 66):
+        one.channel.send(Ask(number, orders.AskVersion()))
+    one.channel.send(Ask(66, orders.Stop()))
+    [refused] = outcomes(one)
+    assert (refused.id, refused.stage) == (65, Stage.FAILED)
+    gate.set()
+    await anyio.sleep(0.01)
+    assert [outcome.id for outcome in outcomes(one)[1:]] == [*range(1, 65), 66]
+    assert {outcome.text for outcome in outcomes(one)[1:65]} == {orders.AskVersion().label}
+    one.channel.send(Ask(67, orders.AskVersion()))
+    await anyio.sleep(0.01)
+    assert (outcomes(one)[-1].id, outcomes(one)[-1].stage) == (67, Stage.DONE)
+
+
+async def test_a_setpoint_of_a_lease_that_is_not_in_force_leaves_nothing() -> None:
+    one = Alone()
+    await one.grant(LEASE)
+    for fence in (6, 7):
+        one.channel.send(Steer(fence, 49.75, 0.4, NORTH))
+        assert sum(isinstance(message, SteerRefused) for message in one.given) == 1, fence
+    assert one.steers() == [(149.75, True)]
