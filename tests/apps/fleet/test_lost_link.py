@@ -10,19 +10,31 @@ from typing import Any, cast
 import anyio
 import pytest
 
+from m100link.apps.agent import orders
+from m100link.apps.agent.background import TaskSet
 from m100link.apps.agent.control_session import ControlSession
+from m100link.apps.agent.lease import LeaseChange, LeaseHeld
+from m100link.apps.agent.messages import Event, EventTopic, LeaseChanged
 from m100link.apps.fleet.client import Fleet
 from m100link.apps.fleet.expiry import Dropped
 from m100link.apps.fleet.lost_link import (
     INHERITED_S,
     KEPT_AGAIN_S,
+    LastFlight,
     LostAction,
     LostLinkAction,
     LostLinkPlan,
 )
 from m100link.apps.fleet.order_log import LastFlightRecord, MemoryOrderLog
-from m100link.errors import FleetError, GuardRefused, M100Error, UsageError
-from m100link.protocol.records import RcMode, RemoteControl
+from m100link.errors import (
+    AuthorityLost,
+    FleetError,
+    GuardRefused,
+    LossReason,
+    M100Error,
+    UsageError,
+)
+from m100link.protocol.records import FlightPhase, RcMode, RemoteControl
 from m100link.protocol.setpoint import Setpoint
 from tests.apps.fleet.conftest import OnBoard, Rig
 
@@ -413,3 +425,260 @@ async def test_it_is_written_again_while_it_flies_and_a_disk_that_fails_is_repor
         disk.is_full = False
     await anyio.sleep(2 * KEPT_AGAIN_S)
     assert disk.kept == [1, 1, 1, 0]
+
+
+# -- what ends a lease, who shows to be there, and when it is begun: a table, without flights ------
+
+
+class Watched:
+    """An aircraft whose agent tells what a test wants, and what was done with it."""
+
+    def __init__(self, plan: LostLinkPlan) -> None:
+        self.began_at = anyio.current_time()
+        self.state = SimpleNamespace(has_authority=True, holding="held")
+        self.holder = LeaseChanged(4, "anna")
+        self.phase: FlightPhase | None = FlightPhase.IN_AIR
+        self.remote: RemoteControl | None = RemoteControl(0, 0, 0, 0, RcMode.F, -4545)
+        self.descents: list[tuple[float, orders.Order, str]] = []
+        self.fails: list[Exception] = []
+        self.flown: list[int] = []
+        self.notes: list[str] = []
+        self.background = TaskSet()
+        self.on_lease: list[Any] = []
+        self.on_authority_taken: list[Any] = []
+        self.on_event: list[Any] = []
+        last = cast(Any, SimpleNamespace(flown_under=self.flown.append))
+        self.lost = LostLinkAction(cast(Any, Told(self)), plan, self.descend, last)
+
+    async def descend(self, task: orders.Order, why: str) -> None:
+        self.descents.append((round(anyio.current_time() - self.began_at, 3), task, why))
+        if self.fails:
+            raise self.fails.pop(0)
+
+    def tell(self, message: Any) -> None:
+        if isinstance(message, LeaseChanged):
+            self.holder = message
+        kind = {LeaseChanged: self.on_lease, Event: self.on_event}
+        for callback in kind.get(type(message), self.on_authority_taken):
+            callback(message)
+
+
+class Told:
+    """The client of its agent."""
+
+    def __init__(self, watched: Watched) -> None:
+        self._watched = watched
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._watched, name)
+
+    @property
+    def now(self) -> float:
+        return anyio.current_time()
+
+    @property
+    def view(self) -> Any:
+        return SimpleNamespace(get=lambda _: self._watched.remote, phase=self._watched.phase)
+
+    def note(self, text: str, _level: str = "info") -> None:
+        self._watched.notes.append(text)
+
+
+def ended(why: LeaseChange) -> LeaseChanged:
+    return LeaseChanged(0, "", why)
+
+
+LANDS = (orders.Land(), "operator lost (land)")
+GOES_HOME = (orders.GoHome(), "operator lost (home)")
+
+
+@pytest.mark.parametrize(
+    ("plan", "why", "flies", "begun", "flown"),
+    [
+        (LostLinkPlan("land", 7.5), LeaseChange.EXPIRED, True, (7.5, *LANDS), [0]),
+        (LostLinkPlan("land", 7.5), LeaseChange.FRONT_LOST, True, (7.5, *LANDS), [0]),
+        (LostLinkPlan("home", 0.0), LeaseChange.EXPIRED, True, (0.0, *GOES_HOME), [0]),
+        (LostLinkPlan("land"), LeaseChange.EXPIRED, True, (10.0, *LANDS), [0]),
+        (LostLinkPlan("hover", 7.5), LeaseChange.EXPIRED, True, None, [0]),
+        (LostLinkPlan("land", 7.5), LeaseChange.RELEASED, True, None, [0]),
+        (LostLinkPlan("land", 7.5), LeaseChange.TAKEN_OVER, True, None, [0]),
+        (LostLinkPlan("land", 7.5), LeaseChange.EXPIRED, False, None, [0]),
+    ],
+)
+async def test_the_aircraft_of_an_operator_who_fell_silent_in_flight_is_brought_down(
+    plan: LostLinkPlan, why: LeaseChange, flies: bool, begun: Any, flown: list[int]
+) -> None:
+    one = Watched(plan)
+    one.state.has_authority = flies
+    one.tell(ended(why))
+    if begun:
+        assert not one.flown, "until it is down, the agent after this one is to know"
+    await anyio.sleep(60.0)
+    assert one.descents == ([begun] if begun else [])
+    assert one.flown == flown
+
+
+async def test_what_fails_is_begun_again_after_five_seconds_and_never_from_who_has_it() -> None:
+    one = Watched(LostLinkPlan("land", 2.0))
+    one.fails += [M100Error("refused"), RuntimeError(), LeaseHeld("bert has control")]
+    one.tell(ended(LeaseChange.EXPIRED))
+    await anyio.sleep(60.0)
+    assert [at for at, *_ in one.descents] == pytest.approx([2.0, 7.0, 12.0])
+    assert [note.rpartition(": ")[2] for note in one.notes[1:]] == ["refused", "the agent failed"]
+    assert one.notes[0] == "the operator is lost: the aircraft hovers, and lands in 2 s"
+    other = Watched(LostLinkPlan("land", 2.0))
+    other.fails.append(M100Error("refused"))
+    other.tell(ended(LeaseChange.EXPIRED))
+    other.holder = LeaseChanged(5, "bert")  # who took it while it was brought down
+    await anyio.sleep(60.0)
+    assert len(other.descents) == 1
+
+
+@pytest.mark.parametrize(
+    ("remote", "somebody"),
+    [
+        (RemoteControl(0, 0, 0, 0, RcMode.F, -4545), ""),
+        (None, ""),
+        (RemoteControl(0, 0, 0, 0, RcMode.P, -4545), "the remote control is not in F"),
+        (RemoteControl(0, 0, 0, 0, RcMode.A, -4545), "the remote control is not in F"),
+        (RemoteControl(0, 0, -1001, 0, RcMode.F, -4545), "a stick was moved"),
+    ],
+)
+async def test_who_moves_the_remote_control_is_there(
+    remote: RemoteControl | None, somebody: str
+) -> None:
+    one = Watched(LostLinkPlan("land", 3.0))
+    one.tell(ended(LeaseChange.EXPIRED))
+    await anyio.sleep(1.0)
+    before, one.remote = one.remote, remote
+    await anyio.sleep(0.5)
+    one.remote = before
+    await anyio.sleep(60.0)
+    assert len(one.descents) == (not somebody)
+    left = f"the operator is lost, but {somebody}: the aircraft is left alone"
+    assert (left in one.notes) is bool(somebody)
+    assert one.flown == [0]
+
+
+async def test_a_new_lease_ends_the_waiting_and_a_stop_and_a_pilot_do() -> None:
+    for sign, flown in (
+        (LeaseChanged(5, "bert", LeaseChange.ACQUIRED), [5]),
+        (Event(1, 0.0, "info", "stop", EventTopic.STOPPED), [0]),
+        (AuthorityLost("P", reason=LossReason.MODE_SWITCH), [0]),
+    ):
+        one = Watched(LostLinkPlan("land", 3.0))
+        one.tell(ended(LeaseChange.EXPIRED))
+        await anyio.sleep(1.0)
+        one.tell(sign)
+        await anyio.sleep(60.0)
+        assert (one.descents, one.flown) == ([], flown), sign
+
+
+async def test_a_line_that_was_lost_leaves_the_flight_with_its_lease() -> None:
+    one = Watched(LostLinkPlan("land", 3.0))
+    one.tell(AuthorityLost("the line", reason=LossReason.LINK))
+    one.state.has_authority = False
+    one.tell(ended(LeaseChange.EXPIRED))
+    one.tell(ended(LeaseChange.EXPIRED))  # said again: it waits already
+    await anyio.sleep(60.0)
+    assert [at for at, *_ in one.descents] == [3.0]
+    other = Watched(LostLinkPlan("land", 3.0))
+    other.tell(AuthorityLost("P", reason=LossReason.MODE_SWITCH))
+    other.state.has_authority = False
+    other.tell(ended(LeaseChange.EXPIRED))
+    await anyio.sleep(60.0)
+    assert (other.descents, other.flown) == ([], [0, 0]), "the pilot flies"
+
+
+@pytest.mark.parametrize(
+    ("number", "has_authority", "holding", "flown"),
+    [
+        (4, True, "held", [4]),
+        (4, False, "held", []),
+        (4, False, "releasing", [0]),
+        (0, True, "held", []),
+        (0, False, "releasing", []),
+    ],
+)
+async def test_who_flies_is_known_from_each_event(
+    number: int, has_authority: bool, holding: str, flown: list[int]
+) -> None:
+    one = Watched(LAND)
+    one.holder = LeaseChanged(number, "anna")
+    one.state = SimpleNamespace(has_authority=has_authority, holding=holding)
+    one.tell(Event(1, 0.0, "info", "anything"))
+    assert one.flown == flown
+
+
+@pytest.mark.parametrize(
+    ("ago", "after", "phase", "plan", "begun", "said"),
+    [
+        (10.0, 0.0, FlightPhase.IN_AIR, LAND, 3.0, "flew under lease 4"),
+        (10.0, 0.0, FlightPhase.LANDING, LAND, 3.0, "flew under lease 4"),
+        (10.0, 0.0, FlightPhase.STANDBY, LAND, None, "which is on the ground now"),
+        (10.0, 0.0, FlightPhase.FINISHING_LANDING, LAND, None, "which is on the ground now"),
+        (10.0, 0.0, FlightPhase.IN_AIR, LostLinkPlan(), None, "it is left to the pilot"),
+        (290.0, 9.0, FlightPhase.IN_AIR, LAND, 12.0, "flew under lease 4"),
+        (290.0, 11.0, FlightPhase.IN_AIR, LAND, None, "perhaps more than 300 s ago"),
+        (301.0, 0.0, FlightPhase.IN_AIR, LAND, None, "perhaps more than 300 s ago"),
+        (None, 0.0, FlightPhase.IN_AIR, LAND, None, "perhaps more than 300 s ago"),
+    ],
+)
+async def test_what_the_agent_before_left_in_the_air_is_brought_down_for_five_minutes(
+    ago: float | None,
+    after: float,
+    phase: FlightPhase,
+    plan: LostLinkPlan,
+    begun: float | None,
+    said: str,
+) -> None:
+    one = Watched(plan)
+    one.phase = phase if not after else None
+    one.lost.inherit(LastFlightRecord(4, ago))
+    if after:
+        await anyio.sleep(after)
+        one.phase = phase
+    await anyio.sleep(60.0)
+    assert [at for at, *_ in one.descents] == pytest.approx(
+        [] if begun is None else [begun], abs=0.11
+    )
+    assert said in one.notes[0]
+    assert one.flown == [0]
+
+
+@pytest.mark.parametrize(
+    ("seconds", "is_one"),
+    [(0.0, True), (3600.0, True), (3600.1, False), (-0.1, False), (float("nan"), False)],
+)
+def test_it_waits_for_up_to_an_hour(seconds: float, is_one: bool) -> None:
+    if is_one:
+        assert LostLinkPlan("home", seconds).after_s == seconds
+    else:
+        with pytest.raises(UsageError, match="lost_after is"):
+            LostLinkPlan("home", seconds)
+
+
+async def test_who_flies_is_written_every_half_minute_and_what_was_not_kept_again() -> None:
+    began_at = anyio.current_time()
+    kept: list[tuple[float, int]] = []
+    fails: list[M100Error] = []
+
+    async def flies(number: int) -> None:
+        kept.append((round(anyio.current_time() - began_at, 3), number))
+        if fails:
+            raise fails.pop()
+
+    last = LastFlight(
+        cast(Any, SimpleNamespace(note=lambda *_: None)),
+        cast(Any, SimpleNamespace(last_flight=LastFlightRecord(3, 1.0), flies=flies)),
+    )
+    async with anyio.create_task_group() as group:
+        group.start_soon(last.keep)
+        await anyio.sleep(5.0)
+        last.flown_under(3)  # as it was
+        await anyio.sleep(30.0)
+        fails.append(UsageError("the disk is full"))
+        last.flown_under(0)
+        await anyio.sleep(100.0)
+        group.cancel_scope.cancel()
+    assert kept == [(30.0, 3), (35.0, 0), (65.0, 0)]
