@@ -248,6 +248,113 @@ def test_a_silent_one_is_looked_for_only_as_far_as_it_can_have_come() -> None:
     assert silent.at == pytest.approx(102.3, abs=0.5), "from 9 m on it is nearer than 3 m"
 
 
+# -- values: half a second between places, a tenth between looks, and from when on -----------------
+
+
+def test_one_beside_its_track_is_as_far_beside_it_for_ten_seconds() -> None:
+    """At each half second; it may land from the end of its track on, and a leaver at once."""
+    here = tuple(a + b for a, b in zip(NORTH.moment(12.0).place, (0.75, -0.5, 0.25), strict=True))
+    ahead = by_track("show", NORTH, 12.0, (here[0], here[1], here[2]))
+    assert (ahead.show, ahead.name, ahead.at, ahead.down_from) == ("show", "a1", 12.0, 20.0)
+    assert len(ahead.places) == 21
+    for step, place in enumerate(ahead.places):
+        wanted = NORTH.moment(12.0 + step / 2).place
+        assert place == pytest.approx((wanted[0] + 0.75, -0.5, 4.25))
+    left = by_speed("show", "a2", 7.0, (10.0, -20.0, 4.0), (1.0, -2.0, 0.5))
+    assert (left.name, left.at, left.down_from, len(left.places)) == ("a2", 7.0, 7.0, 21)
+    assert left.places[1] == pytest.approx((10.5, -21.0, 4.25))
+    assert left.places[-1] == pytest.approx((20.0, -40.0, 9.0))
+    assert left.place(8.25) == pytest.approx((11.25, -22.5, 4.625))
+    assert left.way == pytest.approx(10 * math.sqrt(1 + 4 + 0.25))
+
+
+def test_a_path_goes_over_the_network_in_centimetres() -> None:
+    one = ConflictMonitor("s", "n", 1.23449, ((1.234, -5.678, 9.0), (0.0, 0.25, 0.5)), 7.5)
+    assert one.to_bytes() == b'["s","n",1.234,7.5,[[1.23,-5.68,9.0],[0.0,0.25,0.5]]]'
+    longest = b'["s","n",0,0,[[1,2,3]]]'
+    padded = longest[:1] + b" " * (4096 - len(longest)) + longest[1:]
+    assert ConflictMonitor.from_bytes(padded).places == ((1.0, 2.0, 3.0),)
+    with pytest.raises(BadShow, match="too long"):
+        ConflictMonitor.from_bytes(padded + b" ")
+    edge = b'["s","n",1e6,-1e6,[[1e6,-1e6,0]]]'
+    assert ConflictMonitor.from_bytes(edge).down_from == -1e6
+
+
+def hovers(name: str, at: float, *place: float, down_from: float = 999.0) -> ConflictMonitor:
+    return ConflictMonitor("show", name, at, ((place[0], place[1], place[2]),) * 21, down_from)
+
+
+@pytest.mark.parametrize(
+    ("own", "other", "distance"),
+    [
+        (hovers("a1", 5.0, 0, 0, 4), hovers("a2", 5.0, 2, 0, 4), 2.0),
+        (hovers("a1", 5.0, 0, 0, 4), hovers("a2", 5.0, 0, 0, 6.5), 2.5),
+        (hovers("a1", 5.0, 0, 0, 4), hovers("a2", 5.0, 0, 0, 7), None),
+        (hovers("a1", 5.0, 0, 0, 4), hovers("a2", 5.0, 0, -3, 4), None),
+        # From above one that may be landing reaches down; one that flies does not.
+        (hovers("a1", 5.0, 0, 0, 4), hovers("a2", 5.0, 1, 0, 30, down_from=5.0), 1.0),
+        (hovers("a1", 5.0, 0, 0, 4), hovers("a2", 5.0, 1, 0, 1, down_from=5.0), None),
+        (hovers("a1", 5.0, 1, 0, 30, down_from=5.0), hovers("a2", 5.0, 0, 0, 4), 1.0),
+        (hovers("a1", 5.0, 1, 0, 4, down_from=5.0), hovers("a2", 5.0, 0, 0, 30), None),
+        (
+            hovers("a1", 5.0, 0, 0, 4, down_from=5.0),
+            hovers("a2", 5.0, 0, 2, 40, down_from=5.0),
+            2.0,
+        ),
+    ],
+)
+def test_how_near_another_one_is(
+    own: ConflictMonitor, other: ConflictMonitor, distance: float | None
+) -> None:
+    ones = neighbours()
+    ones.hear(other, 5.0)
+    near = ones.near(own, 5.0)
+    assert near == (None if distance is None else Near("a2", 5.0, distance, 0.0))
+
+
+def test_two_that_come_nearer_are_seen_at_the_first_tenth_of_a_second_that_is_too_near() -> None:
+    """20 m apart, at 2 m/s each towards the other: nearer than 3 m after 4.25 s."""
+    ones = neighbours()
+    ones.hear(by_speed("show", "a2", 5.0, (20.0, 0.0, 4.0), (-2.0, 0.0, 0.0)), 5.0)
+    near = ones.near(by_speed("show", "a1", 5.0, (0.0, 0.0, 4.0), (2.0, 0.0, 0.0)), 5.0)
+    assert near is not None
+    assert near.at == pytest.approx(9.3)
+    assert near.distance_m == pytest.approx(2.8)
+
+
+@pytest.mark.parametrize(
+    ("silent", "at", "is_near"),
+    [(1.0, 5.0, False), (1.125, 5.0, True), (1.125, 4.75, True), (1.125, 5.25, False)],
+)
+def test_from_a_second_of_silence_on_one_may_stand_for_the_next_five_seconds(
+    silent: float, at: float, is_near: bool
+) -> None:
+    """The other one flew off; this one comes to where it was, at 2 m/s."""
+    ones = neighbours()
+    there = tuple((20.0, 4.0 * step, 4.0) for step in range(21))
+    ones.hear(ConflictMonitor("show", "a2", 100.0, there, 999.0), 0.0)
+    # Three metres from it ``at`` seconds from now, and nearer from then on.
+    here = tuple((17.01 - 2.0 * at + step, 0.0, 4.0) for step in range(21))
+    own = ConflictMonitor("show", "a1", 100.0 + silent, here, 999.0)
+    near = ones.near(own, silent)
+    assert (near is not None) is is_near
+    if near is not None:
+        assert near.silent_s == silent
+
+
+@pytest.mark.parametrize(("age", "missing"), [(0.0, 1), (2.0, 1), (2.1, 2)])
+def test_who_was_not_heard_for_two_seconds_is_missing(age: float, missing: int) -> None:
+    ones = Neighbours("show", "a1", 3.0, 2)
+    ones.hear(hovers("a2", 5.0, 0, 0, 4), 10.0)
+    assert ones.missing(10.0 + age) == missing
+
+
+def test_more_than_there_are_leaves_nobody_missing() -> None:
+    ones = Neighbours("show", "a1", 3.0)
+    ones.hear(hovers("a2", 5.0, 0, 0, 4), 10.0)
+    assert ones.missing(10.0) == 0
+
+
 # -- whether the rest of a track keeps away from where a silent one may stand ----------------------
 
 
