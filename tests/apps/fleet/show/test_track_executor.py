@@ -11,6 +11,8 @@ from typing import Any, cast
 import anyio
 import pytest
 
+from m100link.apps.agent import orders
+from m100link.apps.agent.orders import ChangeHeight, FlyTo
 from m100link.apps.fleet.payloads import (
     LeaveShow,
     LoadTrack,
@@ -19,6 +21,7 @@ from m100link.apps.fleet.payloads import (
     StartShow,
     TakePlace,
 )
+from m100link.apps.fleet.show.plan.conflicts import Near, Neighbours, by_speed
 from m100link.apps.fleet.show.plan.steering import (
     MOST_EARLY_S,
     LeftShow,
@@ -29,7 +32,8 @@ from m100link.apps.fleet.show.plan.steering import (
 from m100link.apps.fleet.show.plan.track import BadShow
 from m100link.apps.fleet.show.track_executor import ALLOWED, ATTENDED_S, Leave, TrackExecutor
 from m100link.errors import AuthorityLost, M100Error, NoAuthority, TelemetryStalled, UsageError
-from m100link.protocol.records import Attitude, Velocity
+from m100link.protocol.records import Attitude, Position, Velocity
+from m100link.protocol.setpoint import Setpoint
 from m100link.sim.vehicle.settings import AircraftSettings
 from m100link.sim.virtual import VirtualAircraft
 from m100link.telemetry.state import AircraftState
@@ -448,3 +452,198 @@ async def test_an_agent_that_fails_in_the_show_leaves_it(
     assert performer.fault is not None
     assert performer.fault.seen == "the agent of a1 failed in the show"
     assert not stand.one.agent.holding.has_authority
+
+
+# -- values, by a client that is given: where it is, where it is sent, and when --------------------
+
+
+class Given:
+    """A client that says where the aircraft is, and keeps what it was asked."""
+
+    def __init__(self) -> None:
+        self.items: dict[type[Any], Any] = {
+            # 60 m north and 45 m west of the origin of the shows.
+            Position: known.position(latitude=52.100_539_2, longitude=4.309_343_1, height=7.25),
+            Velocity: Velocity(1.5, -2.25, 0.75, 7),
+            Attitude: Attitude(*known.quaternion(0.0, 0.0, 130.0)),
+        }
+        self.is_airborne = True
+        self.speed: float | None = 8.0
+        self.asked: list[orders.Order] = []
+        self.steered: list[tuple[float, Setpoint]] = []
+        self.began_at = anyio.current_time()
+        self.on_event: list[Any] = []
+        self.on_lease: list[Any] = []
+        self.on_steer_refused: list[Any] = []
+        self.on_authority_taken: list[Any] = []
+        self.agents_before = 0
+
+    @property
+    def now(self) -> float:
+        return anyio.current_time() - self.began_at
+
+    @property
+    def state(self) -> Any:
+        return SimpleNamespace(limits=SimpleNamespace(max_speed_m_s=self.speed))
+
+    @property
+    def view(self) -> Any:
+        return SimpleNamespace(to_steer_by=self.items.get, is_airborne=self.is_airborne)
+
+    def check(self, lease: Any) -> Any:
+        return lease
+
+    def steer(self, _lease: Any, setpoint: Setpoint) -> None:
+        self.steered.append((self.now, setpoint))
+
+    def note(self, _text: str, _level: str = "info") -> None:
+        """Nobody reads it."""
+
+    async def ask(self, order: orders.Order) -> None:
+        self.asked.append(order)
+
+
+def given(**more: Any) -> tuple[Given, TrackExecutor]:
+    client = Given()
+    for name, value in more.items():
+        setattr(client, name, value)
+    return client, TrackExecutor(cast(Any, client), "a1")
+
+
+AWAY = track("a1", (0, 60, -45, 9), (8, 60, -33, 9), ground_m=1.75, heading_deg=-35)
+
+
+async def test_heights_of_a_show_are_those_of_the_aircraft_and_of_its_ground() -> None:
+    _, performer = given()
+    assert performer._here(AWAY) == pytest.approx((60.0, -45.0, 9.0), abs=0.05)
+
+
+@pytest.mark.parametrize("is_airborne", [False, True])
+async def test_it_is_sent_to_the_first_point_of_its_track(is_airborne: bool) -> None:
+    client, performer = given(is_airborne=is_airborne)
+    await performer._take_place(client.ask, AWAY)
+    there = client.asked[-1]
+    assert isinstance(there, FlyTo)
+    assert there.latitude_deg == pytest.approx(52.100_539_2, abs=5e-7)
+    assert there.longitude_deg == pytest.approx(4.309_343_1, abs=5e-7)
+    assert (there.height, there.yaw_deg) == (7.25, -35)
+    assert client.asked[:-1] == [orders.TakeOff()] * (not is_airborne) + [ChangeHeight(7.25)]
+
+
+@pytest.mark.parametrize(("asked", "most"), [(None, 10.0), (8.0, 8.0), (20.0, 10.0)])
+async def test_it_flies_as_fast_as_the_guards_of_its_agent_allow(
+    asked: float | None, most: float
+) -> None:
+    _, performer = given(speed=asked)
+    assert most * (1 - 2e-6) < performer._fastest < most
+
+
+async def test_a_track_that_its_guards_do_not_allow_is_not_begun() -> None:
+    """60 m in 8 s from rest to rest: 11.25 m/s in the middle."""
+    _, performer = given(speed=11.0)
+    performer.load(track("a1", (0, 0, 0, 4), (8, 60, 0, 4)).to_bytes(), "hover")
+    with pytest.raises(ShowRefused) as caught:
+        performer.place("anna", asked_at=0.0)
+    assert (caught.value.why, performer.stage) == (Why.SPEED, LOADED)
+    with pytest.raises(UsageError, match="leave cannot be 'dive'"):
+        performer.load(FLOWN.to_bytes(), cast(Any, "dive"))
+
+
+async def test_where_it_will_be_is_told_from_its_start_until_ten_minutes_after_its_end() -> None:
+    client, performer = given()
+    performer.track, performer.stage = AWAY, LEFT
+    assert performer.ahead() is None, "not before it knows when it begins"
+    performer.neighbours = Neighbours("show", "a1", 3.0)
+    assert performer.ahead() is None
+    performer._start_at = 2.5
+    one = performer.ahead()
+    assert one is not None
+    assert (one.at, one.down_from) == (-2.5, -2.5)
+    moved = [b - a for a, b in zip(one.places[0], one.places[2], strict=True)]
+    assert moved == pytest.approx((1.5, -2.25, 0.75)), "in a second: north, east, up"
+    performer.stage = FLYING
+    one = performer.ahead()
+    assert one is not None
+    assert one.down_from == 8.0
+    del client.items[Velocity]
+    performer.stage = LEFT
+    performer._start_at = client.now - 608.0
+    one = performer.ahead()
+    assert one is not None
+    assert one.places[0] == one.places[-1]
+    performer._start_at = client.now - 608.1
+    assert performer.ahead() is None
+    performer._start_at = 0.0
+    del client.items[Position]
+    assert performer.ahead() is None
+
+
+@pytest.mark.parametrize(("heading", "yaw"), [(None, 130.0), (-35.0, -35.0)])
+async def test_all_are_looked_for_a_second_before_the_beginning(
+    heading: float | None, yaw: float
+) -> None:
+    flown = track("a1", (0, 60, -45, 9), (8, 60, -33, 9), ground_m=1.75, heading_deg=heading)
+    client, performer = given()
+    performer.track, performer.stage = flown, READY
+    performer.neighbours = Neighbours("show", "a1", 3.0, 1)
+    with pytest.raises(LeftShow, match="1 of the others are silent") as caught:
+        await performer._fly(flown, TrackSteering(flown, 8.0), 4.0, 0.0)
+    assert client.now == pytest.approx(3.0, abs=0.05)
+    assert (caught.value.why, caught.value.at, caught.value.measured) == (Why.NEAR, 0.0, 1)
+    assert all(setpoint.yaw == pytest.approx(yaw) for _, setpoint in client.steered)
+    assert len(client.steered) == pytest.approx(150, abs=3), "fifty times a second"
+    performer.neighbours.hear(by_speed("show", "a2", 3.0, (0.0, 0.0, 9.0), (0.0, 0.0, 0.0)), 3.0)
+    client.steered.clear()
+    with pytest.raises(LeftShow) as caught:  # it stands still, and its track does not
+        await performer._fly(flown, TrackSteering(flown, 8.0), 4.0, 0.0)
+    assert caught.value.why is Why.TUBE
+    # It leaves when its track is 1.5 m away, and was asked to follow it eastwards until then.
+    at = next(n / 100 for n in range(800) if flown.moment(n / 100).place[1] > -43.5)
+    assert caught.value.at == pytest.approx(at, abs=0.05)
+    setpoint = client.steered[-1][1]
+    assert setpoint.x == pytest.approx(0.0, abs=0.05)
+    assert setpoint.y > 1.5
+
+
+async def test_a_conductor_is_missed_after_ten_seconds() -> None:
+    client, performer = given()
+    waiting = asyncio.create_task(performer._attend())
+    ends: list[float] = []
+
+    def leave(_work: Any) -> None:
+        ends.append(client.now)
+
+    performer._do = leave  # type: ignore[assignment,method-assign] # for this test
+    performer.run = "b"
+    await anyio.sleep(4.0)
+    performer.heard("c")
+    performer.heard("b")
+    await anyio.sleep(30.0)
+    await waiting
+    assert ends == [pytest.approx(14.0)]
+    performer.track, performer.stage, performer._heard_at = FLOWN, LOADED, client.now - 10.0
+    with pytest.raises(UsageError, match="another conductor"):
+        performer.require_run("a")
+    performer._heard_at -= 0.125
+    performer.require_run("a")
+    performer.stage = READY
+    with pytest.raises(UsageError, match="another conductor"):
+        performer.require_run("a")
+    performer.require_run("b")
+
+
+async def test_another_one_that_comes_near_is_named_with_its_distance_and_time() -> None:
+    _, performer = given()
+    performer.track, performer.stage, performer._start_at = FLOWN, LEFT, 0.0
+    near = Near("a2", 7.25, 2.5, 0.0)
+    silent = Near("a2", 7.25, 2.5, 3.75)
+    for found, seen in (
+        (near, "a1 left the show at 0.0 s: a2 would come as near as 2.5 m in 7.2 s; 4 m are"),
+        (silent, "0.0 s: a2 has been silent for 3.8 s and may stand there: a2 would come as"),
+    ):
+        others = SimpleNamespace(show="show", least_m=4.0, near=lambda *_, found=found: found)
+        performer.neighbours = cast(Any, others)
+        with pytest.raises(LeftShow) as caught:
+            performer._require_apart()
+        assert seen in caught.value.seen
+        assert (caught.value.why, caught.value.measured, caught.value.limit) == (Why.NEAR, 2.5, 4.0)
