@@ -3,23 +3,36 @@
 from __future__ import annotations
 
 import asyncio
+import hashlib
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
+from functools import partial
 from itertools import combinations
 from math import dist
+from types import SimpleNamespace
 from typing import Any
 
 import anyio
 import pytest
 
+from m100link.apps.agent.latency import Offset
 from m100link.apps.fleet.identity import Rights, Signer
 from m100link.apps.fleet.keys import Keys
-from m100link.apps.fleet.payloads import ShowStage
+from m100link.apps.fleet.payloads import (
+    AskShow,
+    LoadTrack,
+    OrderReply,
+    SendTrack,
+    ShowCard,
+    ShowStage,
+    StartShow,
+    TakePlace,
+)
 from m100link.apps.fleet.show import track_executor
 from m100link.apps.fleet.show.conductor import Conductor, Part
 from m100link.apps.fleet.show.plan.document import Show, check
-from m100link.apps.fleet.show.plan.steering import ShowRefused
-from m100link.apps.fleet.show.plan.track import TimedTrack
+from m100link.apps.fleet.show.plan.steering import ShowRefused, Why
+from m100link.apps.fleet.show.plan.track import BadShow, TimedTrack
 from m100link.apps.fleet.show.service import ShowService
 from m100link.apps.fleet.show.track_executor import Leave
 from m100link.apps.fleet.signing import signing, verifying
@@ -481,3 +494,146 @@ async def test_who_does_not_confirm_that_it_leaves_is_named(rig: Rig) -> None:
         name = made.show.tracks[1].name
         said = [one for one in made.told if "did not confirm" in one]
         assert said == [f"{name} did not confirm that it leaves: {name} does not answer"]
+
+
+# -- what a conductor sends, and how long it waits, by answers that are given ----------------------
+
+
+class Answering:
+    """A conductor of two aircraft, and what each answers."""
+
+    def __init__(self, **options: Any) -> None:
+        self.told: list[str] = []
+        self.asked: list[tuple[float, str, Any]] = []
+        tracks = row(2)
+        self.show = Show("", tuple(tracks), 4.5)
+        bus: Any = None
+        self.conductor = Conductor(bus, SITE, "anna", self.show, tell=self.told.append, **options)
+        self.began_at = anyio.current_time()
+        self.stage: Callable[[str], ShowStage | None] = lambda _name: ShowStage.READY
+        self.clock: Offset | None = Offset(250.0, 0.03125)
+        for name in ("a1", "a2"):
+            once = partial(self.once, name)
+            its_clock = SimpleNamespace(offset=lambda _now: self.clock)
+            keys = Keys(SITE, name)
+            fake: Any = SimpleNamespace(once=once, keys=keys, its_clock=its_clock)
+            self.conductor._askers[name] = fake
+        self.track = tracks[0]
+
+    @property
+    def now(self) -> float:
+        return anyio.current_time() - self.began_at
+
+    async def once(self, name: str, key: str, asked: Any, **how: Any) -> OrderReply | None:
+        assert (key, how["within"]) == (f"m100/{SITE}/{name}/show", 1.0)
+        self.asked.append((round(self.now, 3), name, asked))
+        stage = self.stage(name)
+        if stage is None:
+            return None
+        card = ShowCard(stage, self.track.digest, 0.75, "wind")
+        return OrderReply.done("", name, "run", None, clock=83.25, show=card)
+
+
+async def test_the_time_to_begin_is_sent_by_the_clock_of_each() -> None:
+    one = Answering()
+    await one.conductor._start(one.track, 1000.0)
+    [(_, name, asked)] = one.asked
+    assert (name, asked) == (
+        "a1",
+        StartShow(one.conductor._run, one.track.digest, 1250.0, 0.03125),
+    )
+    for clock, bound in ((Offset(250.0, 0.0625), "62 ms"), (None, "inf ms")):
+        one.clock = clock
+        with pytest.raises(ShowRefused, match=f"of a1 may be wrong by {bound}") as caught:
+            await one.conductor._start(one.track, 1000.0)
+        assert (caught.value.why, caught.value.limit) == (Why.CLOCK, 0.05)
+    one.clock = Offset(250.0, 0.05)
+    await one.conductor._start(one.track, 1000.0)
+
+
+async def test_a_track_is_sent_in_pieces_of_800_bytes_with_what_the_others_are() -> None:
+    one = Answering(leave="hover")
+    points = tuple((n, 0, 0.1 * n, 4) for n in range(60))
+    long = points_track("a1", *points)
+    one.track = long
+    await one.conductor._load(long)
+    pieces = [asked for *_, asked in one.asked if isinstance(asked, SendTrack)]
+    assert [piece.at for piece in pieces] == [0, 800, 1600]
+    assert b"".join(piece.data for piece in pieces) == long.to_bytes()
+    digests = "".join(sorted(each.digest for each in one.show.tracks))
+    show = hashlib.sha256(digests.encode()).hexdigest()[:16]
+    assert one.asked[-1][2] == LoadTrack(one.conductor._run, "hover", show, 4.5, 1)
+    one.track = row(2)[1]
+    with pytest.raises(BadShow, match="a1 has another track"):
+        await one.conductor._load(long)
+
+
+@pytest.mark.parametrize(("ready_at", "is_ready"), [(0.0, True), (179.0, True), (181.0, False)])
+async def test_a_place_is_taken_within_three_minutes(ready_at: float, is_ready: bool) -> None:
+    one = Answering()
+    one.stage = lambda _: ShowStage.READY if one.now >= ready_at else ShowStage.PLACING
+    if is_ready:
+        await one.conductor._place(one.track)
+        assert one.now == pytest.approx(ready_at, abs=0.6)
+        return
+    with pytest.raises(ShowRefused, match="a1 did not take its place: wind") as caught:
+        await one.conductor._place(one.track)
+    assert caught.value.measured == pytest.approx(180.5)
+    assert (caught.value.why, caught.value.limit) == (Why.PLACE, 180.0)
+
+
+@pytest.mark.parametrize("silent", [4.0, 7.0])
+async def test_one_that_tells_nothing_for_five_seconds_is_silent(silent: float) -> None:
+    one = Answering()
+
+    def stage(_name: str) -> ShowStage | None:
+        if 10.0 <= one.now <= 10.0 + silent:
+            return None
+        return ShowStage.FLOWN if one.now > 30.0 else ShowStage.FLYING
+
+    one.stage = stage
+    part = await one.conductor._watch(one.track)
+    if silent < 5.0:
+        assert part == Part("a1", ShowStage.FLOWN, one.track.digest, 0.75, "wind", 83.25)
+        assert one.told == ["a1 has flown its track, and did not land: wind"]
+    else:
+        assert part == Part("a1", None)
+        assert one.told == ["a1 is silent; the others fly on"]
+        assert 14.9 <= one.now < 16.0
+
+
+async def test_it_begins_five_seconds_after_all_are_ready_and_is_heard_every_two() -> None:
+    one = Answering()
+    order = {
+        LoadTrack: ShowStage.LOADED,
+        TakePlace: ShowStage.READY,
+        StartShow: ShowStage.FLYING,
+    }
+    stage = {"a1": ShowStage.EMPTY, "a2": ShowStage.EMPTY}
+    tracks = {each.name: each for each in one.show.tracks}
+
+    def answer(name: str) -> ShowStage:
+        asked = one.asked[-1][2]
+        one.track = tracks[name]
+        stage[name] = order.get(type(asked), stage[name])
+        if isinstance(asked, StartShow) or stage[name] is not ShowStage.FLYING:
+            return stage[name]
+        return ShowStage.FLOWN if one.now > 12.0 else ShowStage.FLYING
+
+    one.stage = answer
+    parts = await one.conductor.fly()
+    assert {name: part.stage for name, part in parts.items()} == dict.fromkeys(
+        ("a1", "a2"), ShowStage.FLOWN
+    )
+    starts = [asked.at for *_, asked in one.asked if isinstance(asked, StartShow)]
+    began = [at for at, _, asked in one.asked if isinstance(asked, StartShow)]
+    assert starts == [pytest.approx(began[0] + one.began_at + 5.0 + 250.0)] * 2
+    assert one.told[:3] == [
+        "all have their tracks",
+        "all are at their places",
+        "the show begins in 5.0 s",
+    ]
+    before = [at for at, name, asked in one.asked if name == "a1" and 0.0 < at < 5.0]
+    assert before == pytest.approx([2.0, 4.0], abs=0.01)
+    measured = [asked for at, name, asked in one.asked if (at, name) == (0.0, "a1")]
+    assert sum(isinstance(asked, AskShow) for asked in measured) == 1 + 1 + 12

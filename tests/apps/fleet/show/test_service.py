@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import asyncio
 from dataclasses import replace
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import anyio
 import pytest
 
+from m100link.apps.agent.messages import MessageError
+from m100link.apps.fleet import payloads
 from m100link.apps.fleet.keys import Keys
 from m100link.apps.fleet.payloads import (
     Asked,
@@ -25,7 +28,7 @@ from m100link.apps.fleet.payloads import (
     pack,
     unpack,
 )
-from m100link.apps.fleet.show.plan.conflicts import Neighbours
+from m100link.apps.fleet.show.plan.conflicts import Neighbours, by_speed
 from m100link.apps.fleet.show.service import Beside, ShowService
 from m100link.sim.vehicle.settings import AircraftSettings
 from m100link.sim.virtual import VirtualAircraft
@@ -177,6 +180,53 @@ async def test_a_track_comes_in_pieces_in_their_order(asked: Conductor) -> None:
     far = SendTrack("", 0, bytes(900))
     assert (await asked.order(far, next(numbers))).outcome is Outcome.OK
     assert (await asked.order(LOAD, next(numbers))).outcome is Outcome.REFUSED
+
+
+@pytest.mark.parametrize(
+    ("at", "size", "is_taken"),
+    [
+        (0, 10, True),
+        (100, 10, True),
+        (50, 1, True),
+        (101, 1, False),
+        (-1, 10, False),
+        (0, 321_024, True),
+        (0, 321_025, False),
+        (100, 320_925, False),
+    ],
+)
+async def test_a_piece_of_a_track_joins_those_before_it(at: int, size: int, is_taken: bool) -> None:
+    """A track of 10,000 points has 320,000 bytes, and what stands before them."""
+    service = object.__new__(ShowService)
+    service._pieces = bytearray(range(100))
+    if is_taken:
+        service._take_piece(at, b"\xff" * size)
+        assert service._pieces == bytes(range(100))[:at] + b"\xff" * size
+    else:
+        with pytest.raises(MessageError, match=rf"at {at} comes behind 100 bytes"):
+            service._take_piece(at, b"\xff" * size)
+        assert service._pieces == bytes(range(100))
+
+
+@pytest.mark.parametrize(
+    ("key", "version", "is_heard"),
+    [
+        ("m100/field/a2/place", payloads.VERSION, True),
+        ("m100/field/a3/place", payloads.VERSION, False),  # somebody else tells it
+        ("m100/field/a2/place", payloads.VERSION - 1, False),
+        ("m100/field/a2/place", payloads.VERSION + 1, False),
+    ],
+)
+async def test_a_place_counts_by_who_tells_it(key: str, version: int, is_heard: bool) -> None:
+    heard: list[tuple[str, float]] = []
+    service = object.__new__(ShowService)
+    hear = SimpleNamespace(hear=lambda ahead, now: heard.append((ahead.name, now)))
+    service.performer = cast(Any, SimpleNamespace(neighbours=hear))
+    service._client = cast(Any, SimpleNamespace(now=7.5))
+    place = by_speed("show", "a2", 1.0, (1.0, 2.0, 3.0), (0.0, 0.0, 0.0)).to_bytes()
+    service._on_place(key, bytes([version]) + place)
+    service._on_place(key, bytes([version]) + b"[]")
+    assert heard == [("a2", 7.5)] * is_heard
 
 
 async def test_what_is_no_order_or_for_another_aircraft_is_refused(asked: Conductor) -> None:
