@@ -18,6 +18,7 @@ from m100link.apps.ros2.actions import GoalStatus
 from m100link.apps.ros2.control import (
     IDLE_S,
     SILENCE_S,
+    TERMS,
     Frames,
     RosControl,
     SetpointMux,
@@ -29,7 +30,7 @@ from m100link.protocol.records import FlightPhase, FlightStatus, Velocity
 from m100link.protocol.setpoint import Setpoint
 from tests.apps.ros2.conftest import Program, Rig
 from tests.apps.ros2.test_actions import Client
-from tests.known import KnownAgent
+from tests.known import KnownAgent, quaternion
 
 pytestmark = pytest.mark.anyio
 
@@ -167,6 +168,89 @@ def test_of_very_many_who_send_when_control_is_obtained_nobody_has_the_stick() -
     assert stick.holder is None
 
 
+@pytest.mark.parametrize(("at", "holder"), [(0.49, ONE), (0.5, None)])
+def test_half_a_second_of_silence_lets_go(
+    stick: SetpointMux, at: float, holder: bytes | None
+) -> None:
+    stick.hear(ONE, 0.0, 0.0)
+    stick.look(at)
+    assert stick.holder == holder
+
+
+@pytest.mark.parametrize(("late", "answer"), [(0.3, ""), (0.3125, "late")])
+def test_a_setpoint_may_be_0_3_s_later_than_the_fastest(
+    stick: SetpointMux, late: float, answer: str
+) -> None:
+    stick.hear(ONE, 8.0, 0.0)
+    assert stick.hear(ONE, 8.0625, 0.0625 + late) == answer
+
+
+def test_when_control_is_obtained_who_sent_within_half_a_second_and_alone_has_it() -> None:
+    for age, other, holder in ((0.49, None, ONE), (0.5, None, None), (0.49, 0.49, None)):
+        stick = SetpointMux()
+        stick.hear(ONE, 0.0, 0.0)
+        if other is not None:
+            stick.hear(OTHER, 0.0, 0.0)
+        stick.begin(age)
+        assert stick.holder == holder
+
+
+@pytest.mark.parametrize(
+    ("is_on_ground", "task", "goal", "is_idle"),
+    [
+        (True, "", "", True),
+        (False, "", "", False),
+        (None, "", "", False),  # it may be in the air
+        (True, "take off", "", False),
+        (True, "", "~/fly_to", False),
+    ],
+)
+def test_control_is_idle_on_the_ground_and_goes_back_after_a_minute(
+    is_on_ground: bool | None, task: str, goal: str, is_idle: bool
+) -> None:
+    control, idle = object.__new__(RosControl), list[bool]()
+    view = SimpleNamespace(is_on_ground=is_on_ground)
+    agent = SimpleNamespace(now=0.1, view=view, state=SimpleNamespace(task=task))
+    control._agent, control.goal, control.mux = cast(Any, agent), goal, SetpointMux()
+    heard = lambda *, is_idle: idle.append(is_idle)  # noqa: E731
+    control.session = cast(Any, SimpleNamespace(state=ControlState.HOLDING, heard=heard))
+    control.advance()
+    assert idle == [is_idle]
+    assert (TERMS.idle_s, TERMS.gives_way, TERMS.begins_anew) == (60.0, True, False)
+
+
+@pytest.mark.parametrize(
+    ("changed", "refused"),
+    [
+        ({}, ""),
+        ({"has_control": False}, "ROS has no control: call ~/obtain_control"),
+        ({"held": ControlState.STOPPED}, "it was stopped: call ~/obtain_control"),
+        ({"goal": "~/fly_to"}, "~/fly_to flies: cancel it first"),
+        ({"task": "go home"}, "go home flies"),
+        ({"mission": "hotpoint"}, "hotpoint flies"),
+        ({"mission": "no mission"}, ""),
+        ({"task": "land", "mission": "hotpoint"}, "land flies"),
+        ({"airborne": False}, "on the ground: call ~/takeoff first"),
+        ({"airborne": None}, "on the ground: call ~/takeoff first"),
+    ],
+)
+def test_why_no_setpoint_flies(changed: dict[str, Any], refused: str) -> None:
+    given: dict[str, Any] = {
+        "has_control": True,
+        "held": ControlState.HOLDING,
+        "goal": "",
+        "airborne": True,
+    }
+    given |= {"task": "", "mission": ""} | changed
+    control = object.__new__(RosControl)
+    state = SimpleNamespace(task=given["task"], mission=given["mission"])
+    view = SimpleNamespace(is_airborne=given["airborne"])
+    control._agent, control.goal = cast(Any, SimpleNamespace(state=state, view=view)), given["goal"]
+    session = SimpleNamespace(has_control=given["has_control"], state=given["held"])
+    control.session = cast(Any, session)
+    assert control.refusal() == refused
+
+
 # -- speeds and places of ROS, in the words of the aircraft ----------------------------------------
 
 
@@ -232,6 +316,42 @@ def test_places() -> None:
     assert found == Setpoint.velocity(north=0.0, east=0.8, up=0.8, yaw_rate_deg_s=0.0)
     far = toward(pose(300.0, 400.0, 90.0, 0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0), fastest=2.0)
     assert (far.x, far.y, far.z, far.yaw) == pytest.approx((1.6, 1.2, 2.0, 90.0))
+
+
+@pytest.mark.parametrize(
+    ("place", "fastest", "north", "east", "up"),
+    [
+        ((12.5, -3.0, 4.75), None, -0.8, 2.0, 0.6),  # 0.8 m/s for each metre
+        ((9.0, -2.0, 2.0), None, 0.0, -0.8, -1.6),
+        ((10.0, -2.0, 1.0), None, 0.0, 0.0, -2.0),
+        ((10.0, -2.0, 99.0), None, 0.0, 0.0, 2.0),
+        ((70.0, 78.0, 4.0), None, 4.0, 3.0, 0.0),  # 5 m/s at most
+        ((70.0, 78.0, 4.0), 20.0, 4.0, 3.0, 0.0),
+        ((70.0, 78.0, 4.0), 2.5, 2.0, 1.5, 0.0),
+    ],
+)
+def test_a_place_leads_there_the_slower_the_nearer(
+    place: tuple[float, float, float], fastest: float | None, north: float, east: float, up: float
+) -> None:
+    """From 10 m east, 2 m south, 4 m up."""
+    found = toward(pose(*place), (10.0, -2.0, 4.0), fastest=fastest)
+    assert (found.x, found.y, found.z, found.yaw) == pytest.approx((north, east, up, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("yaw", "heading"),
+    [(0.0, 90.0), (90.0, 0.0), (130.0, -40.0), (-35.0, 125.0), (-100.0, -170.0), (180.0, -90.0)],
+)
+@pytest.mark.parametrize("roll", [0.0, 15.0])
+@pytest.mark.parametrize("pitch", [0.0, -25.0])
+def test_yaw_from_east_to_the_left_is_a_heading_from_north_to_the_right(
+    yaw: float, heading: float, roll: float, pitch: float
+) -> None:
+    w, x, y, z = quaternion(roll, pitch, yaw)
+    found = toward(pose(0.0, 0.0, 1.0, x, y, z, w), (0.0, 0.0, 1.0), fastest=None)
+    assert found.yaw == pytest.approx(heading)
+    again = toward(pose(0.0, 0.0, 1.0, -x, -y, -z, -w), (0.0, 0.0, 1.0), fastest=None)
+    assert again.yaw == pytest.approx(heading)
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
