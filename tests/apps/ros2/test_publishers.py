@@ -11,8 +11,16 @@ from typing import Any, cast
 import anyio
 import pytest
 
-from m100link.apps.ros2.graph import read_attachment
-from m100link.apps.ros2.publishers import DiagnosticLevel, Stamps, Status, diagnostics
+from m100link.apps.agent.messages import Event, MissionReport, State
+from m100link.apps.ros2.graph import Names, read_attachment
+from m100link.apps.ros2.publishers import (
+    DiagnosticLevel,
+    MessageMaker,
+    Stamps,
+    Status,
+    _Source,
+    diagnostics,
+)
 from m100link.apps.ros2.topics import OUTPUTS
 from m100link.log.cdr import full_name
 from m100link.protocol import encode_telemetry
@@ -21,7 +29,9 @@ from m100link.protocol.records import Battery, FlightPhase, Position, Time
 from m100link.telemetry.device_clock import DeviceClock
 from m100link.telemetry.integrity import Integrity, IntegrityState
 from m100link.telemetry.sample import Sample
+from m100link.telemetry.state import AircraftState
 from m100link.telemetry.subscription import Newest
+from tests import known
 from tests.apps.ros2.conftest import UTC, Program, Rig, judge
 from tests.known import Known
 
@@ -347,3 +357,157 @@ def test_another_firmware_has_another_clock(line: Line) -> None:
     assert line.stamps.of(sample) == (round(UTC) + 120, 0)
     assert line.stamps.clock is not None
     assert line.stamps.clock.tick_hz == other.tick_hz
+
+
+@pytest.mark.parametrize(
+    ("at", "stamp"),
+    [
+        (100.0, (1_800_000_200, 250_000_000)),
+        (99.5, (1_800_000_199, 750_000_000)),
+        (101.75, (1_800_000_202, 0)),
+        (-1.9e9, (0, 0)),  # nothing is from before 1970
+    ],
+)
+def test_a_time_of_the_loop_is_posix_time(at: float, stamp: tuple[int, int]) -> None:
+    seconds, nanoseconds = Stamps(lambda: 100.0, lambda: 1_800_000_200.25).at(at)
+    assert seconds == stamp[0]
+    assert nanoseconds == pytest.approx(stamp[1], abs=1000)
+
+
+class Asked:
+    """A clock that says that everything was made 0.125 s before 500 s."""
+
+    tick_hz = HZ
+
+    def __init__(self) -> None:
+        self.asked: list[int] = []
+        self.uncertainty_s = 0.001
+
+    def update(self, _tick: int, _at: float) -> None:
+        """It knows already."""
+
+    def host_time(self, tick: int) -> Any:
+        self.asked.append(tick)
+        return SimpleNamespace(time=499.875, uncertainty_s=self.uncertainty_s)
+
+
+def test_a_clock_is_asked_four_times_a_second_and_ticks_count_in_between() -> None:
+    stamps, clock = Stamps(lambda: 500.0, lambda: UTC), Asked()
+    stamps.clock = cast(Any, clock)
+
+    def of(seconds: float) -> float:
+        sample = Sample(value(1000 + round(seconds * HZ), PROFILE), PROFILE, 500.0)
+        sec, nanosec = stamps.of(sample)
+        return sec - UTC + nanosec * 1e-9
+
+    assert of(0.0) == pytest.approx(-0.125, abs=1e-6)
+    assert of(0.0625) == pytest.approx(-0.0625, abs=1e-3)
+    assert of(0.2) == 0.0, "never later than it came"
+    assert len(clock.asked) == 1
+    assert of(0.25) == pytest.approx(-0.125, abs=1e-6), "asked anew"
+    assert of(0.2) == pytest.approx(-0.125, abs=1e-6), "ticks that went back are asked about"
+    assert len(clock.asked) == 3
+    clock.uncertainty_s = float("inf")
+    assert of(5.0) == 0.0
+    assert of(5.0) == 0.0
+    assert len(clock.asked) == 5, "nobody knows: it is asked again at once"
+
+
+# -- when a topic is due, and what is said of events and of the line -------------------------------
+
+
+@pytest.mark.parametrize(
+    ("hz", "times", "due"),
+    [
+        (50.0, (1.0,), 1.016),  # a fifth of the time between two may be missing
+        (50.0, (1.0, 1.016), 1.036),
+        (50.0, (1.0, 1.03), 1.046),
+        (10.0, (1.0, 5.0), 5.08),  # what was missed is not made up for
+        (10.0, (1.0, 1.08, 1.18), 1.28),
+    ],
+)
+def test_the_next_message_is_due_when_its_rate_says(
+    hz: float, times: tuple[float, ...], due: float
+) -> None:
+    source = _Source("~/imu", cast(Any, None), lambda *_: None, hz)
+    for now in times:
+        source.report(now)
+    assert source.due_at == pytest.approx(due)
+
+
+class Said:
+    def __init__(self) -> None:
+        self.said: list[dict[str, Any]] = []
+        self.is_wanted = True
+
+    def say(self, message: dict[str, Any]) -> None:
+        self.said.append(message)
+
+
+def maker(names: Names) -> tuple[MessageMaker, dict[str, Said]]:
+    topics = {name: Said() for name in ("/rosout", "~/mission_event")}
+    agent: Any = SimpleNamespace(now=7.25, on_event=[], on_mission_report=[])
+    return MessageMaker(agent, names, cast(Any, topics), lambda: 1_800_000_000.5, dict), topics
+
+
+@pytest.mark.parametrize(
+    ("level", "number"), [("info", 20), ("warning", 30), ("error", 40), ("odd", 20)]
+)
+def test_an_event_has_its_level_its_time_and_the_name_of_the_node(level: str, number: int) -> None:
+    """Of rcl_interfaces/Log; a logger is named with dots."""
+    one, topics = maker(Names.of("/drones/first", "a1"))
+    one._event(Event(3, 6.0, level, "a bird"))
+    [said] = topics["/rosout"].said
+    assert (said["level"], said["name"], said["msg"]) == (number, "drones.first.a1", "a bird")
+    assert said["stamp"] == {"sec": 1_799_999_999, "nanosec": pytest.approx(250_000_000, abs=1000)}
+    assert one._named == "drones/first/a1"
+
+
+@pytest.mark.parametrize(
+    ("data", "told"),
+    [(b"", [0] * 5), (b"\x07\x08", [7, 8, 0, 0, 0]), (bytes(range(1, 9)), [1, 2, 3, 4, 5])],
+)
+def test_a_mission_event_has_five_bytes(data: bytes, told: list[int]) -> None:
+    one, topics = maker(Names.of("/drones/first", "a1"))
+    one._mission(MissionReport(2, data))
+    [said] = topics["~/mission_event"].said
+    assert (said["event"], said["data"]) == (2, told)
+    assert said["header"]["frame_id"] == "drones/first/base_link"
+
+
+def test_rates_are_pauses_and_none_is_each() -> None:
+    one, _ = maker(Names.of("/", "m100"))
+    source = _Source("~/imu", cast(Any, None), lambda *_: None, 50.0)
+    one._sources = [source, _Source("~/odom", cast(Any, None), lambda *_: None, 50.0)]
+    for hz, pause in ((8.0, 0.125), (0.0, 0.0)):
+        one.set_hz("~/imu", hz)
+        assert (source.pause, one.hz["~/imu"]) == (pause, hz)
+    assert one._sources[1].pause == 0.02
+
+
+@pytest.mark.parametrize(
+    ("heard_at", "is_gone", "connection", "level", "message"),
+    [
+        (38.0, False, "connected", DiagnosticLevel.OK, "connected"),
+        (37.9, False, "connected", DiagnosticLevel.ERROR, "the agent is silent"),
+        (40.0, True, "connected", DiagnosticLevel.ERROR, "the agent has gone"),
+        (40.0, False, "waiting", DiagnosticLevel.ERROR, "waiting"),
+    ],
+)
+def test_a_line_that_is_not_heard_says_who_is_silent(
+    heard_at: float, is_gone: bool, connection: str, level: DiagnosticLevel, message: str
+) -> None:
+    state = AircraftState(lambda: 40.0)
+    state.update(known.sample(at=39.75))
+    told = State(0.0, connection, firmware="3.1", round_trip=0.0625)
+    view = known.seen(state, 40.0, state=told, heard_at=heard_at, is_gone=is_gone)
+    line = next(one for one in diagnostics(view, None, {}) if one.name == "line")
+    assert (line.level, line.message) == (level, message)
+    assert line.values["round trip ms"] == 62.5
+    assert line.status("m100") == {
+        "level": level,
+        "name": "m100: line",
+        "message": message,
+        "hardware_id": "DJI Matrice 100",
+        "values": [{"key": key, "value": str(one)} for key, one in line.values.items()],
+    }
