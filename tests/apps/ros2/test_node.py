@@ -10,7 +10,9 @@ from collections.abc import Awaitable, Callable
 from dataclasses import replace
 from functools import partial
 from random import Random
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
+from unittest.mock import Mock, call
 
 import anyio
 import pytest
@@ -22,7 +24,15 @@ from m100link.apps.agent.orders import Obtain
 from m100link.apps.agent.transports import memory_channels
 from m100link.apps.bus.network import Question, Received, TokenChange
 from m100link.apps.ros2.control import IDLE_S
-from m100link.apps.ros2.graph import EntityKind, Names, NodeName, data_key, read_token
+from m100link.apps.ros2.graph import (
+    Attachment,
+    EntityKind,
+    Names,
+    NodeName,
+    data_key,
+    read_token,
+)
+from m100link.apps.ros2.node import Node
 from m100link.apps.ros2.topics import INPUTS, OUTPUTS, SERVICES
 from m100link.errors import M100Error, TaskRefused
 from m100link.log.cdr import encode
@@ -333,6 +343,72 @@ async def test_numbers_that_are_none_are_reported(rig: Rig, program: Program, va
     await program.fly(1.0, value)
     assert rig.speed < 0.3
     assert "~/cmd_vel: " in rig.texts
+
+
+def bare(**given: Any) -> Any:
+    """A node of which only these parts are there."""
+    node = cast(Any, object.__new__(Node))
+    for name, value in given.items():
+        setattr(node, f"_{name}", value)
+    return node
+
+
+def test_a_reason_is_told_every_two_seconds() -> None:
+    agent = SimpleNamespace(now=5.0, note=Mock())
+    node = bare(agent=agent, reported={})
+    told = []
+    for now, text in ((5.0, "a"), (6.9, "a"), (6.9, "b"), (7.0, "a"), (8.9, "a"), (9.0, "a")):
+        agent.now = now
+        node._tell(text, "warning")
+        told.append(agent.note.call_count)
+    assert told == [1, 1, 2, 3, 3, 4]
+    assert agent.note.mock_calls[0].args == ("a", "warning")
+
+
+def test_a_setpoint_is_as_old_as_its_attachment_says() -> None:
+    """Nanoseconds there, seconds here; of what came together the newest flies."""
+    heard: list[tuple[Any, ...]] = []
+    control = SimpleNamespace(
+        mux=SimpleNamespace(hear=lambda *what: heard.append(what)),
+        refusal=lambda: "",
+        session=SimpleNamespace(steer=Mock()),
+    )
+    node = bare(agent=SimpleNamespace(now=40.0), deaf_until=40.0)
+    node.control = control
+    came = [(Attachment(3 + n, 1_500_000_000 + n, b"g" * 16), {"number": n}) for n in range(2)]
+    source: Any = SimpleNamespace(take=lambda: came)
+    node._hear("~/cmd_vel", source, lambda message: message["number"])
+    assert heard == [(b"g" * 16, 1.5, 40.0, 3), (b"g" * 16, pytest.approx(1.5), 40.0, 4)]
+    assert control.session.steer.mock_calls == [call(1, 0.3)]
+    node._deaf_until = 40.1  # what comes now was sent while it stood still
+    node._hear("~/cmd_vel", source, lambda message: message["number"])
+    assert (len(heard), control.session.steer.call_count) == (4, 1)
+
+
+@pytest.mark.parametrize(("pause", "deaf_until"), [(0.99, -1.0), (1.0, 31.3), (5.0, 35.3)])
+def test_after_a_second_without_a_step_what_comes_for_0_3_s_is_old(
+    pause: float, deaf_until: float
+) -> None:
+    parts = Mock()
+    node = bare(
+        agent=SimpleNamespace(now=30.0 + pause),
+        ran_at=30.0,
+        deaf_until=-1.0,
+        presence=parts,
+        inputs=[],
+        is_even=False,
+        payload=parts.payload,
+        looked_at=30.0,
+    )
+    node.actions, node.control, node.ends, node.teller = Mock(), parts, parts.ends, parts
+    node.step()
+    is_deaf = deaf_until > 0
+    assert node._deaf_until == pytest.approx(deaf_until)
+    assert node._ran_at == 30.0 + pause
+    assert node.actions.end.called is is_deaf
+    assert parts.ends.take_requests.mock_calls == [call(is_deaf=is_deaf)]
+    assert parts.payload.advance.mock_calls == [call(is_deaf=is_deaf)]
+    assert node.ends.look.called, "half a second has gone"
 
 
 async def test_what_came_while_it_stood_still_is_not_done(rig: Rig, program: Program) -> None:
