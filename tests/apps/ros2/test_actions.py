@@ -3,14 +3,24 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import anyio
 import pytest
 
 from m100link.apps.bus.network import TokenChange
-from m100link.apps.ros2.actions import FLIGHTS, GoalStatus
+from m100link.apps.ros2.actions import (
+    FLIGHTS,
+    Actions,
+    GoalStatus,
+    _before,
+    _Goal,
+    _order,
+    _wait,
+)
 from m100link.apps.ros2.graph import EntityKind, NodeName, Qos, data_key
+from m100link.errors import UsageError
 from m100link.geodesy import LocalFrame
 from m100link.log.cdr import ACTIONS, decode
 from tests.apps.agent.conftest import has_begun, hears_late, task_of
@@ -299,3 +309,169 @@ async def test_a_stop_that_the_node_did_not_hear_ends_the_legs_to_come(
     await anyio.sleep(6.0)
     assert rig.height < 2.0
     assert not has_begun(rig.agent, "change of height")
+
+
+# -- values: what a goal may say, and which of two times comes first -------------------------------
+
+PLACE = {"latitude": -33.5, "longitude": 151.75, "height": 17.5}
+
+
+@pytest.mark.parametrize(
+    ("changed", "speed", "is_one"),
+    [
+        ({}, 3.5, True),
+        ({"latitude": 89.0, "longitude": 180.0}, 10.0, True),
+        ({"latitude": -89.0, "longitude": -180.0}, 0.0, True),
+        ({"latitude": 89.1}, 3.5, False),
+        ({"latitude": -89.1}, 3.5, False),
+        ({"longitude": 180.1}, 3.5, False),
+        ({"longitude": -180.1}, 3.5, False),
+        ({}, 10.1, False),
+        ({}, -0.1, False),
+        ({}, math.inf, False),
+        ({"latitude": math.nan}, 3.5, False),
+        ({"longitude": math.inf}, 3.5, False),
+        ({"height": math.nan}, 3.5, False),
+    ],
+)
+def test_which_places_are_flown_to(changed: dict[str, float], speed: float, is_one: bool) -> None:
+    given = PLACE | changed
+    if not is_one:
+        with pytest.raises(UsageError):
+            _order(given, speed)
+        return
+    order = _order(given, speed)
+    found = (order.latitude_deg, order.longitude_deg, order.height, order.speed, order.yaw_deg)
+    assert found == (given["latitude"], given["longitude"], 17.5, speed or 5.0, None)
+
+
+@pytest.mark.parametrize(
+    ("seconds", "is_one"),
+    [(0.0, True), (600.0, True), (600.1, False), (-0.1, False), (math.nan, False)],
+)
+def test_a_wait_is_ten_minutes_at_most(seconds: float, is_one: bool) -> None:
+    if is_one:
+        assert _wait(seconds) == seconds
+    else:
+        with pytest.raises(UsageError):
+            _wait(seconds)
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "is_before"),
+    [
+        ((5, 10), (5, 10), True),  # at it counts as before it: CancelGoal says "at or before"
+        ((5, 10), (5, 11), True),
+        ((5, 11), (5, 10), False),
+        ((4, 99), (5, 0), True),
+        ((5, 0), (4, 99), False),
+    ],
+)
+def test_which_of_two_times_is_before(
+    one: tuple[int, int], other: tuple[int, int], is_before: bool
+) -> None:
+    first, second = (dict(zip(("sec", "nanosec"), time, strict=True)) for time in (one, other))
+    assert _before(first, second) is is_before
+
+
+def test_states_and_codes_are_those_of_action_msgs() -> None:
+    assert [(one.name, one.value) for one in GoalStatus] == [
+        ("UNKNOWN", 0),
+        ("ACCEPTED", 1),
+        ("EXECUTING", 2),
+        ("CANCELING", 3),
+        ("SUCCEEDED", 4),
+        ("CANCELED", 5),
+        ("ABORTED", 6),
+    ]
+    assert [one.value for one in GoalStatus if one.is_over] == [4, 5, 6]
+
+
+class Flown:
+    """The actions of a node, and one goal that flies."""
+
+    def __init__(self) -> None:
+        self.said: dict[str, list[dict[str, Any]]] = {"feedback": [], "status": []}
+        self.ended: list[str] = []
+        self.is_missing = self.is_silent = False
+
+        def topic(name: str) -> Any:
+            return SimpleNamespace(say=self.said[name].append)
+
+        self.flight = cast(
+            Any,
+            SimpleNamespace(is_ours=True, end=self.ended.append, feedback=lambda: {"height": 12.5}),
+        )
+        self.action = cast(
+            Any,
+            SimpleNamespace(name="~/fly_to", feedback=topic("feedback"), status=topic("status")),
+        )
+        stamp = {"sec": 50, "nanosec": 7}
+        self.goal = _Goal(ID, self.action, stamp, self.flight, {}, GoalStatus.EXECUTING)
+        self.actions = cast(Any, object.__new__(Actions))
+        self.actions._agent = SimpleNamespace(now=20.0)
+        self.actions._presence = SimpleNamespace(missing=lambda _clients: self.is_missing)
+        self.actions._heartbeat = SimpleNamespace(is_missing=lambda _now: self.is_silent)
+        self.actions._goals, self.actions._current = {ID: self.goal}, self.goal
+        self.actions._feedback_at = 20.0
+
+
+ID = bytes(range(16))
+
+
+@pytest.mark.parametrize(
+    ("identity", "stamp", "code", "is_ended"),
+    [
+        (ID, (0, 0), 0, True),
+        (bytes(16), (0, 0), 0, True),  # all of this action
+        (bytes(16), (50, 7), 0, True),
+        (bytes([9]) * 16, (0, 0), 2, False),  # nobody knows it
+        (bytes([8]) * 16, (0, 0), 3, False),  # it has ended
+        (bytes([8]) * 16, (50, 7), 0, True),  # and all from before that time
+        (bytes([8]) * 16, (50, 6), 3, False),
+    ],
+)
+async def test_which_goals_a_cancel_means(
+    identity: bytes, stamp: tuple[int, int], code: int, is_ended: bool
+) -> None:
+    one = Flown()
+    one.actions._goals[bytes([8]) * 16] = one.goal
+    time = {"sec": stamp[0], "nanosec": stamp[1]}
+    wanted = {"goal_info": {"goal_id": {"uuid": list(identity)}, "stamp": time}}
+    answer = await one.actions._canceling(one.action)(wanted)
+    assert answer["return_code"] == code
+    assert answer["goals_canceling"] == [one.goal.info] * is_ended
+    assert one.goal.info["goal_id"] == {"uuid": list(range(16))}
+    assert one.goal.info["stamp"] == {"sec": 50, "nanosec": 7}
+    assert one.ended == ["the goal was cancelled"] * is_ended
+    other: Any = SimpleNamespace(name="~/take_off")
+    again = Flown()
+    nobody = {"goal_id": {"uuid": [0] * 16}, "stamp": time}
+    answer = await again.actions._canceling(other)({"goal_info": nobody})
+    assert (answer["return_code"], again.ended) == (0, []), "another action has none"
+
+
+@pytest.mark.parametrize(
+    ("changed", "why"),
+    [
+        ({}, []),
+        ({"is_missing": True}, ["the client of the goal has gone"]),
+        ({"is_silent": True}, ["the client of the goal does not answer any more"]),
+        ({"is_ours": False}, ["control was lost, or given back"]),
+    ],
+)
+def test_whose_goal_ends_and_how_often_it_tells(changed: dict[str, bool], why: list[str]) -> None:
+    one = Flown()
+    one.is_missing = changed.get("is_missing", False)
+    one.is_silent = changed.get("is_silent", False)
+    one.flight.is_ours = changed.get("is_ours", True)
+    for tick in range(1, 27):  # 1.625 s
+        one.actions._agent.now = 20.0 + tick / 16
+        one.actions.advance()
+    assert one.ended == why
+    assert len(one.said["feedback"]) == 3, "every half second"
+    assert one.said["feedback"][0] == {
+        "goal_id": {"uuid": list(range(16))},
+        "feedback": {"height": 12.5},
+    }
+    assert (one.goal.status is GoalStatus.CANCELING) is bool(why)

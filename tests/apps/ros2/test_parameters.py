@@ -91,3 +91,36 @@ async def test_sim_time_may_be_said_to_be_what_it_is(rig: Rig, program: Program)
     same = [{"name": "use_sim_time", "value": value(0.0, kind=1)}]
     [result] = (await ask(program, "set_parameters", parameters=same))["results"]
     assert result["successful"]
+
+
+@pytest.mark.parametrize(("hz", "is_set"), [(0.0, True), (100.0, True), (100.1, False)])
+async def test_a_rate_is_at_most_a_hundred_and_the_description_says_so(
+    rig: Rig, program: Program, hz: float, is_set: bool
+) -> None:
+    wanted = [{"name": "rates.odom", "value": value(hz)}]
+    [result] = (await ask(program, "set_parameters", parameters=wanted))["results"]
+    assert result["successful"] is is_set
+    assert rig.node.teller.hz["~/odom"] == (hz if is_set else 50.0)
+    names = ["rates.odom", "guards.max_height_m", "use_sim_time", "nothing"]
+    rate, guard, sim, nothing = (await ask(program, "describe_parameters", names=names))[
+        "descriptors"
+    ]
+    [span] = rate["floating_point_range"]
+    assert (span["from_value"], span["to_value"], span["step"]) == (0.0, 100.0, 0.0)
+    assert (rate["type"], guard["type"], sim["type"], nothing["type"]) == (3, 3, 1, 0)
+    assert [one["read_only"] for one in (rate, guard, sim, nothing)] == [False, True, True, True]
+    assert not guard["floating_point_range"]
+
+
+@pytest.mark.parametrize(("count", "is_answered"), [(64, True), (65, False)])
+async def test_sixty_four_names_are_answered_at_once(
+    rig: Rig, program: Program, count: int, is_answered: bool
+) -> None:
+    before = rig.node.ends.refused
+    asked = ask(program, "get_parameter_types", names=["nothing"] * count)
+    if is_answered:
+        assert (await asked)["types"] == [0] * count
+    else:
+        with anyio.move_on_after(1.0):
+            await asked
+    assert rig.node.ends.refused == before + (not is_answered)

@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import AsyncIterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import anyio
@@ -13,7 +14,7 @@ import pytest
 
 from m100link.apps.ros2 import MESSAGES
 from m100link.apps.ros2.services import ACTIONS as MISSION_ACTIONS
-from m100link.apps.ros2.services import angles_of, plan_of
+from m100link.apps.ros2.services import GimbalServices, angles_of, plan_of, rates_of
 from m100link.geodesy import LocalFrame
 from m100link.log.cdr import ACTIONS, DEFINITIONS, OWN_PACKAGE, SERVICES, full_name, type_hash
 from m100link.missions.waypoint import AtEnd, Heading, OnRCLoss, Stay, TakePhoto, Trace
@@ -265,6 +266,56 @@ def test_each_axis_can_be_left_alone() -> None:
     assert angles_of(asked(keep_yaw=True)).mode == 3
     assert angles_of(asked(keep_roll=True)).mode == 5
     assert angles_of(asked(keep_pitch=True)).mode == 9
+
+
+def given() -> tuple[GimbalServices, Any, Any, list[Any]]:
+    """What turns the gimbal, its agent, what waits, and what was asked of the agent."""
+    asks: list[Any] = []
+    waiting: Any = SimpleNamespace(messages=[])
+    waiting.take = lambda: [(None, one) for one in waiting.messages]
+
+    def spawn(work: Any, _name: str) -> None:
+        asks.append(work.cr_frame.f_locals["message"])
+        work.close()
+
+    agent: Any = SimpleNamespace(now=7.0, background=SimpleNamespace(spawn=spawn))
+    nobody: Any = None
+    return GimbalServices(agent, nobody, waiting, nobody), agent, waiting, asks
+
+
+@pytest.mark.parametrize(
+    ("pause", "is_deaf", "count", "is_busy", "is_sent"),
+    [
+        (0.0, False, 2, False, True),
+        (0.0, True, 2, False, False),  # what came while it stood still is old
+        (0.0, False, 0, False, False),
+        (0.0, False, 2, True, False),  # one at a time
+        (0.049, False, 1, False, False),
+        (0.05, False, 1, False, True),
+    ],
+)
+def test_rates_go_out_twenty_times_a_second_the_newest_first(
+    pause: float, is_deaf: bool, count: int, is_busy: bool, is_sent: bool
+) -> None:
+    one, agent, waiting, sent = given()
+    if pause:
+        waiting.messages = [{"vector": {}}]
+        one.advance(is_deaf=False)
+        sent.clear()
+        agent.now = 7.0 + pause
+        one._is_busy = False
+    one._is_busy = is_busy or one._is_busy
+    waiting.messages = [{"vector": number} for number in range(count)]
+    one.advance(is_deaf=is_deaf)
+    assert sent == [{"vector": count - 1}] * is_sent
+    assert one._is_busy is (is_sent or is_busy)
+
+
+def test_rad_s_about_forward_left_and_up_are_degrees_of_the_gimbal() -> None:
+    """Roll about forward; pitch up, which REP 103 has negative about left; yaw clockwise."""
+    rates = rates_of({"x": 0.1, "y": -0.2, "z": 0.3})
+    found = (rates.roll_deg_s, rates.pitch_deg_s, rates.yaw_deg_s)
+    assert found == pytest.approx((5.729578, 11.459156, -17.188734))
 
 
 # -- the package m100_msgs, as rosbags reads its files: the same fields and hashes as here ---------
