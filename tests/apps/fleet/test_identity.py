@@ -15,8 +15,6 @@ import pytest
 from m100link.apps.agent import orders
 from m100link.apps.agent.orders import Right
 from m100link.apps.fleet.identity import (
-    STOP_WINDOW_S,
-    WINDOW_S,
     BadRights,
     Gate,
     OrderRefused,
@@ -24,7 +22,7 @@ from m100link.apps.fleet.identity import (
     Rights,
     Signer,
 )
-from m100link.apps.fleet.payloads import OrderMessage, pack
+from m100link.apps.fleet.payloads import LeaveShow, OrderMessage, StartShow, TakePlace, pack
 from m100link.errors import UsageError
 
 NOW = 1_800_000_000.0
@@ -165,14 +163,79 @@ def test_an_operator_without_the_right_is_refused() -> None:
 
 @pytest.mark.parametrize(
     ("right", "window"),
-    [(Right.WATCH, WINDOW_S), (Right.STOP, STOP_WINDOW_S), (Right.FLY, WINDOW_S)],
+    [(Right.WATCH, 5.0), (Right.STOP, 600.0), (Right.FLY, 5.0)],
 )
 @pytest.mark.parametrize("sense", [-1, 1])
 def test_orders_are_fresh(right: Right, window: float, sense: int) -> None:
-    for age, expected in ((0.99, None), (1.01, Reason.EXPIRED)):
+    for age, expected in ((1.0, None), (1.01, Reason.EXPIRED)):
         long_there = Gate(RIGHTS, "a1", began_at=NOW - 10_000)
         made = order(at=NOW - sense * age * window)
         assert reason(made, right=right, at=long_there) is expected
+
+
+# A calendar that is a day behind; the agent's clock, its run, and what comes of it (the table of
+# ``clock`` and ``boot`` in docs/reference/fleet-wire.md).
+FRESH, OLD = None, Reason.EXPIRED
+BY_ITS_CLOCK = [
+    (orders.Stop(), 100.0, "", FRESH),  # what stops needs no run
+    (orders.Halt(), 100.0, "", FRESH),
+    (orders.Stop(), 95.0, "", FRESH),
+    (orders.Stop(), 105.0, "", FRESH),
+    (orders.Stop(), 94.9, "", OLD),
+    (orders.Stop(), 105.1, "", OLD),
+    (orders.Stop(), 0.0, "", OLD),  # no time
+    (orders.Land(), 100.0, "run", FRESH),
+    (orders.Land(), 100.0, "another", OLD),
+    (orders.Land(), 100.0, "", OLD),
+    (orders.Land(), 94.9, "run", OLD),
+    (orders.AskVersion(), 100.0, "run", FRESH),
+    (orders.PauseMission(), 100.0, "run", FRESH),
+    (orders.AcquireLease("anna"), 100.0, "run", FRESH),
+    (orders.GoHome(), 100.0, "run", FRESH),  # it moves, and ends a flight
+    (orders.TakeOff(), 100.0, "run", OLD),  # what moves needs the calendar
+    (orders.Activate(), 100.0, "run", OLD),
+    (TakePlace(""), 100.0, "run", OLD),
+    (StartShow("", "", 0.0, 0.0), 100.0, "run", OLD),
+    (LeaveShow(""), 100.0, "run", FRESH),
+]
+
+
+@pytest.mark.parametrize(("asked", "clock", "boot", "expected"), BY_ITS_CLOCK)
+@pytest.mark.parametrize("calendar", [-86_400.0, 86_400.0])
+def test_where_calendars_differ_the_clock_of_the_agent_says_what_is_fresh(
+    asked: Any, clock: float, boot: str, expected: Reason | None, calendar: float
+) -> None:
+    one = Gate(RIGHTS, "a1", began_at=NOW - 1e6)
+    made = signed(order(at=NOW + calendar, order=asked, clock=clock, boot=boot))
+    if expected is None:
+        one.check(made, NOW, 100.0, "run")
+        # It is known for as long as its repetition could be let through.
+        assert list(one._seen.values()) == [max(NOW, NOW + calendar) + 600.0]
+        with pytest.raises(OrderRefused) as caught:
+            one.check(made, NOW, 100.0, "run")
+        assert caught.value.reason is Reason.REPLAYED
+        return
+    with pytest.raises(OrderRefused) as caught:
+        one.check(made, NOW, 100.0, "run")
+    assert caught.value.reason is expected
+    assert not one._seen
+    with pytest.raises(OrderRefused):
+        Gate(RIGHTS, "a1", began_at=NOW - 1e6).check(made, NOW)  # no clock, no run
+
+
+def test_an_agent_without_a_run_takes_no_order_of_an_empty_one() -> None:
+    one = Gate(RIGHTS, "a1", began_at=NOW - 1e6)
+    with pytest.raises(OrderRefused):
+        one.check(signed(order(at=NOW - 1e4, order=orders.Land(), clock=100.0)), NOW, 100.0, "")
+
+
+@pytest.mark.parametrize(
+    ("at", "seen"),
+    [(-7.25, "is 7.2 s old"), (7.25, "is from 7.2 s ahead"), (-3.0, "3.0 s old, and older than")],
+)
+def test_a_refusal_says_how_old_the_order_is(at: float, seen: str) -> None:
+    with pytest.raises(OrderRefused, match=seen):
+        Gate(RIGHTS, "a1", began_at=NOW - 1.0).check(signed(order(at=NOW + at)), NOW)
 
 
 @pytest.mark.parametrize("at", [math.nan, math.inf, -math.inf])
