@@ -41,10 +41,30 @@ def test_one_is_there_while_it_is_heard_again() -> None:
     ones.hear("other", 11.0)
     assert ones.is_there(11.0)
     with pytest.raises(UsageError, match="two agents are named a1"):
-        ones.require_none(11.0 + GONE_S)
-    ones.require_none(11.1 + GONE_S)
+        ones.require_none(16.0)
+    ones.require_none(16.1)
     ones.hear("other", 30.0)
     assert not ones.is_there(30.0), "it begins anew"
+
+
+@pytest.mark.parametrize(
+    ("first", "last", "now", "is_there"),
+    [
+        (10.0, 10.5, 10.5, True),
+        (10.0, 10.4, 10.4, False),  # one word may be the last of one that was killed
+        (10.0, 10.5, 15.5, True),
+        (10.0, 10.5, 15.6, False),
+        (10.0, 15.0, 15.0, True),
+        (10.0, 15.1, 15.1, False),  # it was gone meanwhile, and begins anew
+    ],
+)
+def test_another_of_the_same_name_is_there_from_half_a_second_on_until_five_after_its_last_word(
+    first: float, last: float, now: float, is_there: bool
+) -> None:
+    ones = DuplicateNames("a1", "mine")
+    ones.hear("other", first)
+    ones.hear("other", last)
+    assert ones.is_there(now) is is_there
 
 
 def test_several_are_distinguished_and_do_not_fill_the_memory() -> None:

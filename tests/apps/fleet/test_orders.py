@@ -6,23 +6,35 @@ import asyncio
 from contextlib import suppress
 from dataclasses import replace
 from random import Random
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import anyio
 import pytest
 
 from m100link.apps.agent import orders
+from m100link.apps.agent.background import TaskSet
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.control_session import ControlSession
-from m100link.apps.agent.lease import Flown
-from m100link.apps.agent.messages import MessageError, State
+from m100link.apps.agent.lease import Flown, Lease
+from m100link.apps.agent.messages import LeaseChanged, MessageError, State
 from m100link.apps.agent.transports import memory_channels
 from m100link.apps.fleet.client import Fleet, FleetAircraft
+from m100link.apps.fleet.identity import nobody
 from m100link.apps.fleet.order_log import MemoryOrderLog
-from m100link.apps.fleet.payloads import Outcome
-from m100link.errors import GuardRefused, M100Error, StaleLease, TaskRefused, UsageError
+from m100link.apps.fleet.orders import Granted, OrderService
+from m100link.apps.fleet.payloads import Half, OrderMessage, Outcome
+from m100link.errors import (
+    GuardRefused,
+    M100Error,
+    NotAllowed,
+    StaleLease,
+    TaskRefused,
+    UsageError,
+)
+from m100link.protocol.commands.gimbal import GimbalAngle
 from tests.apps.agent.conftest import hears_late, task_of
-from tests.apps.fleet.conftest import OnBoard, Rig
+from tests.apps.fleet.conftest import SITE, OnBoard, Rig
 
 pytestmark = pytest.mark.anyio
 
@@ -290,3 +302,194 @@ async def test_the_secret_of_a_lease_that_is_over_is_forgotten(rig: Rig) -> None
     assert (service.leases, service.secret(number)) == ({}, None)
     async with pilot["a1"].control():
         assert service.leases.keys() == {number + 1}
+
+
+# -- who may what, by a client that is given -------------------------------------------------------
+
+
+class Given:
+    """A client that does what it is asked, and keeps it; nobody has the lease."""
+
+    def __init__(self) -> None:
+        self.holder = LeaseChanged(0, "")
+        self.state = SimpleNamespace(is_activated=False, task="", mission="no mission")
+        self.view = SimpleNamespace(is_on_ground=False)
+        self.stopped_at = 50.0
+        self.now = 60.0
+        self.on_lease: list[Any] = []
+        self.on_mission_report: list[Any] = []
+        self.hovers: list[tuple[Any, ...]] = []
+        self.asked: list[tuple[orders.Order, Lease | None, float | None]] = []
+        self.let_gone: list[Lease] = []
+        self.background = TaskSet()
+
+    def hover(self, why: str, lease: Lease | None, *, begins_anew: bool, at: float) -> None:
+        self.hovers.append((why, lease, begins_anew, at))
+
+    async def ask(
+        self, order: orders.Order, lease: Lease | None = None, asked_at: float | None = None
+    ) -> Any:
+        self.asked.append((order, lease, asked_at))
+        return SimpleNamespace(text="text", number=4)
+
+    async def acquire(self, name: str, at: float | None) -> Lease:
+        self.asked.append((orders.AcquireLease(name), None, at))
+        self.holder = LeaseChanged(8, name)
+        return Lease(name, "its token", 8)
+
+    def let_go(self, lease: Lease) -> None:
+        self.let_gone.append(lease)
+
+
+HELD = Lease("anna", "of the agent", 7)
+
+
+def given(revoked: Any = nobody) -> tuple[Given, OrderService]:
+    """The agent's token of lease 7 never leaves; orders under it are proved by its secret."""
+    client = Given()
+    service = OrderService(cast(Any, client), MemoryOrderLog(), revoked)
+    client.holder = LeaseChanged(7, "anna")
+    service.leases[7] = Granted(HELD, "secret", "anna")
+    return client, service
+
+
+def message(asked: orders.Order, fence: int = 7, secret: str = "secret") -> Any:
+    head = ("0b" * 16, SITE, "a1", "bert", fence, 0.0, asked)
+    return OrderMessage(*head, clock=55.0, signer="anna").under(secret)
+
+
+@pytest.mark.parametrize(
+    ("fence", "secret", "lease"),
+    [(7, "secret", HELD), (7, "another", None), (6, "secret", None), (0, "secret", None)],
+)
+async def test_an_order_is_given_under_the_lease_that_it_proves(
+    fence: int, secret: str, lease: Lease | None
+) -> None:
+    client, service = given()
+    asked = message(orders.TakeOff(), fence, secret)
+    if lease is None:
+        with pytest.raises(StaleLease, match=f"lease {fence} is not in force; anna has control"):
+            await service.carry_out(asked, asked.order)
+        assert not client.asked
+    else:
+        assert await service.carry_out(asked, asked.order) == {"text": "text", "number": 4}
+        assert client.asked == [(orders.TakeOff(), HELD, 55.0)]
+    client.holder = LeaseChanged(9, "carl")
+    with pytest.raises(StaleLease, match="carl has control"):
+        await service.carry_out(asked, asked.order)
+
+
+@pytest.mark.parametrize(
+    ("asked", "clock", "secret", "expected"),
+    [
+        (orders.Halt("why", True), 55.0, "secret", ("why", HELD, True, 55.0)),
+        (orders.Halt("why", True), 50.0, "secret", ("why", HELD, False, 50.0)),  # before the STOP
+        (orders.Halt("why", False), 55.0, "secret", ("why", HELD, False, 55.0)),
+        (orders.Halt("", True), 55.0, "another", ("bert: hover", None, True, 55.0)),
+    ],
+)
+async def test_a_hover_is_done_for_anybody_and_begins_anew_for_who_is_later_than_a_stop(
+    asked: orders.Halt, clock: float, secret: str, expected: tuple[Any, ...]
+) -> None:
+    client, service = given()
+    order = replace(message(asked), clock=clock).under(secret)
+    assert await service.carry_out(order, asked) == {}
+    assert client.hovers == [expected]
+
+
+@pytest.mark.parametrize(
+    ("asked", "fence", "holder", "is_let", "lease"),
+    [
+        (orders.AskVersion(), 0, 7, True, None),  # nothing is needed
+        (orders.Activate(), 0, 0, True, None),  # nobody has the lease
+        (orders.Activate(), 0, 7, False, None),
+        (orders.Activate(), 7, 7, True, HELD),
+        (orders.PointGimbal(GimbalAngle(0.0, 0.0, 0.0)), 0, 0, False, None),
+        (orders.TakeOff(), 0, 0, False, None),
+        (orders.StopMotors(), 0, 0, False, None),
+    ],
+)
+async def test_which_orders_of_a_fleet_need_the_lease(
+    asked: orders.Order, fence: int, holder: int, is_let: bool, lease: Lease | None
+) -> None:
+    client, service = given()
+    client.holder = LeaseChanged(holder, "anna" if holder else "")
+    order = message(asked, fence)
+    if is_let:
+        assert service.lease_for(order, asked) is lease
+    else:
+        who = "anna" if holder else "nobody"
+        with pytest.raises(StaleLease, match=f"{who} has control"):
+            service.lease_for(order, asked)
+
+
+async def test_a_lease_is_kept_with_its_secret_and_its_signer() -> None:
+    client, service = given()
+    half = Half()
+    order = replace(message(orders.AcquireLease("bert"), 0), key=half.public)
+    answer = await service.carry_out(order, order.order)
+    assert (answer["text"], answer["number"]) == ("bert", 8)
+    assert service.secret(8) == half.secret(order, answer["key"], answer["key"])
+    assert service.leases[8].signer == "anna"
+    for number, left in ((8, {8}), (7, {7, 8}), (9, set()), (0, set())):
+        client.holder = LeaseChanged(number, "")
+        service.leases = {one: Granted(HELD, "secret", "anna") for one in (7, 8)}
+        service.refused = M100Error("old")
+        client.on_lease[-1](client.holder)
+        assert set(service.leases) == left
+        found: M100Error | None = service.refused
+        assert found is None
+
+
+async def test_who_is_revoked_while_a_lease_is_granted_does_not_have_it() -> None:
+    client, service = given(lambda name: "2026-11-22" if name == "anna" else "")
+    order = replace(message(orders.AcquireLease("bert"), 0), key=Half().public)
+    with pytest.raises(NotAllowed, match="anna is revoked since 2026-11-22"):
+        await service.carry_out(order, order.order)
+    assert [lease.number for lease in client.let_gone] == [8]
+    assert 8 not in service.leases
+    assert service.shut_out() == "anna"
+    assert service.leases == {}
+    assert service.shut_out() == ""
+
+
+@pytest.mark.parametrize(
+    ("signers", "is_ended"), [(("anna",), True), (("anna", "bert"), False), (("bert",), False)]
+)
+async def test_a_landing_ends_when_all_are_revoked_who_want_it(
+    signers: tuple[str, ...], is_ended: bool
+) -> None:
+    _, service = given(lambda name: "today" if name == "anna" else "")
+    service.leases.clear()
+    service._descent = asyncio.create_task(asyncio.sleep(60.0))
+    service._descent_signers.update(signers)
+    assert service.shut_out() == ("anna" if is_ended else "")
+    await asyncio.sleep(0)
+    assert service._descent.cancelled() is is_ended
+    service._descent.cancel()
+
+
+@pytest.mark.parametrize(
+    ("on_ground", "holder", "underway", "is_flown"),
+    [
+        (True, 0, 0, False),  # it is where it is wanted
+        (True, 7, 0, True),  # who holds it may be about to take off
+        (True, 0, 1, True),
+        (False, 0, 0, True),
+        (None, 0, 0, True),
+    ],
+)
+async def test_what_stands_and_nobody_flies_is_not_landed(
+    on_ground: bool | None, holder: int, underway: int, is_flown: bool
+) -> None:
+    client, service = given()
+    client.holder, client.view.is_on_ground = LeaseChanged(holder, ""), on_ground
+    service._underway = underway
+    flown: list[tuple[orders.Order, str, bool]] = []
+
+    async def descended(task: orders.Order, who: str, *, take_over: bool) -> None:
+        flown.append((task, who, take_over))
+
+    service._descended = descended  # type: ignore[method-assign] # for this test
+    await service.descend(orders.GoHome(), "anna", take_over=False, signer="anna")
+    assert flown == [(orders.GoHome(), "anna", False)] * is_flown

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import uuid
+from types import SimpleNamespace
 from typing import Any
 
 import anyio
 import pytest
 
 from m100link.apps.agent import orders
+from m100link.apps.agent.messages import MissionReport
 from m100link.apps.agent.orders import UploadPlan
 from m100link.apps.fleet.control import FleetControl
 from m100link.apps.fleet.keys import Keys
 from m100link.apps.fleet.lost_link import LostAction, LostLinkPlan
+from m100link.apps.fleet.missions.manager import MissionManager
 from m100link.apps.fleet.payloads import MissionCard, MissionInput, MissionStage, Outcome, after
 from m100link.errors import GuardRefused, M100Error, MissionRunning, StaleLease, UsageError
 from tests.apps.bus.memory import Weather
@@ -372,3 +375,60 @@ async def test_the_next_agent_ends_the_mission_and_does_what_lost_says(
     assert second.speed < 0.3
     assert second.height < 0.1 if action == "land" else second.height > 5.0
     assert second.fleet_agent.missions.stage is MissionStage.NONE
+
+
+# -- values, by what the aircraft reports ----------------------------------------------------------
+
+
+def manager() -> tuple[MissionManager, Any]:
+    state = SimpleNamespace(mission="no mission", mission_index=-1, mission_status=-1)
+    client: Any = SimpleNamespace(on_mission_report=[], on_lease=[], state=state, now=40.0)
+    client.view = SimpleNamespace(get=lambda _: None)
+    return MissionManager(client), client
+
+
+def test_points_are_reached_when_the_second_byte_is_four() -> None:
+    """Event 2 says that a point was reached, event 1 that the mission is over."""
+    one, client = manager()
+    for event, data in ((2, b"\3\4"), (2, b"\5\6"), (3, b"\6\4"), (2, b"\7\4\1")):
+        client.on_mission_report[0](MissionReport(event, data))
+    assert (bytes(one._reached), one._is_finished) == (b"\x03\x07", False)
+    client.on_mission_report[0](MissionReport(1, b"\x01\x04"))
+    assert (bytes(one._reached), one._is_finished) == (b"\x03\x07", True)
+    for number in range(2000):
+        client.on_mission_report[0](MissionReport(2, bytes([number % 200, 4])))
+    assert len(one._reached) == 1024
+    assert one._reached[-1] == 1999 % 200
+
+
+@pytest.mark.parametrize(
+    ("stage", "is_paused", "mission", "words"),
+    [
+        (MissionStage.FLYING, False, "waypoint mission", "mission, 2 of 5"),
+        (MissionStage.FLYING, True, "waypoint mission", "mission, 2 of 5, paused"),
+        (MissionStage.UPLOADED, False, "no mission", ""),
+        (MissionStage.NONE, False, "hotpoint", "hotpoint"),
+    ],
+)
+def test_a_mission_in_words(stage: MissionStage, is_paused: bool, mission: str, words: str) -> None:
+    one, client = manager()
+    client.state.mission = mission
+    one.stage, one._points = stage, 5
+    one._reached[:] = b"\x00\x01\x01"
+    one.paused(is_paused=is_paused)
+    assert one.words == words
+    assert one._is_paused is (is_paused and stage is MissionStage.FLYING)
+
+
+def test_the_time_of_a_mission_counts_from_its_begin_to_its_end() -> None:
+    one, client = manager()
+    assert one.card("kite", "run").elapsed_s == 0.0
+    one._begun_at = 27.5
+    assert one.card("kite", "run").elapsed_s == 12.5
+    one._ended_at = 35.25
+    client.now = 99.0
+    card = one.card("kite", "run")
+    assert (card.elapsed_s, card.index, card.status, card.distance_m) == (7.75, None, None, None)
+    client.state.mission_index, client.state.mission_status = 0, 0
+    card = one.card("kite", "run")
+    assert (card.index, card.status) == (0, 0)
