@@ -234,7 +234,7 @@ class Guardian(Generic[W]):
         except (OSError, ValueError, subprocess.SubprocessError) as error:
             self._tear_down()
             raise GuardianFailed(
-                f"the guardian of this flight did not start: {error or 'not ready in time'}"
+                f"the guardian of this flight did not start: {str(error) or 'not ready in time'}"
             ) from error
         except BaseException:
             self._tear_down()

@@ -314,7 +314,7 @@ async def _open_tcp(address: ConnectionString, protocol: asyncio.Protocol) -> as
         if words:
             raise PortFailed(f"{address} cannot be opened: {error}", **words) from error
         raise PortFailed(
-            f"nothing answers at {address}: {error or 'no connection in time'}",
+            f"nothing answers at {address}: {str(error) or 'no connection in time'}",
             cause="the program that should listen there is not running",
             remedy="start it, and check host and port",
         ) from error

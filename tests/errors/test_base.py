@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import errno
 import pickle
+import re
 from typing import Any, cast
 
 import pytest
 
 from m100link import AckTimeout, CommandRefused, M100Error, OutOfResources, UsageError
 from m100link.errors.base import of_the_system
+from tests.test_house import PACKAGE
 
 
 def test_a_value_of_nothing_is_a_value_and_none_is_the_default() -> None:
@@ -76,3 +78,9 @@ def test_of_two_bases_the_default_of_the_first_holds_as_for_attributes() -> None
         pass
 
     assert Both("seen").limit == Both.limit == 1
+
+
+def test_no_text_asks_whether_an_exception_is_true() -> None:
+    """It always is, also one that says nothing, as a TimeoutError: its text may be empty."""
+    always = re.compile(r"\{(error|exc|failure|raised) or ")
+    assert not [p.name for p in PACKAGE.rglob("*.py") if always.search(p.read_text("utf-8"))]

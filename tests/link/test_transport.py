@@ -29,7 +29,13 @@ from m100link.link.url import ConnectionString, parse_url
 from tests.link.peer import Peer, settle
 from tests.waiting import PATIENCE
 
-pytestmark = [pytest.mark.anyio, pytest.mark.pty]
+pytestmark = pytest.mark.anyio
+
+
+@pytest.fixture
+def anyio_backend() -> str:
+    """A thread opens ports, and sockets are the machine's: neither has a virtual clock."""
+    return "asyncio"
 
 
 def _refusing(monkeypatch: pytest.MonkeyPatch, error: Exception) -> None:
