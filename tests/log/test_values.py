@@ -17,14 +17,17 @@ from typing import Any, cast
 import pytest
 
 from m100link.apps.cli.log import csv as log_csv
+from m100link.errors import BadSetpoint
 from m100link.link import Direction
 from m100link.log import read
 from m100link.log.pcapng import _Tables, write_pcapng
 from m100link.log.picture import facts
 from m100link.log.reading import Chunk, write_parquet
+from m100link.log.ros2 import joy_move
 from m100link.log.story import read_story
 from m100link.protocol.firmware import PROFILES
 from m100link.protocol.records import Attitude, Battery, FlightStatus, Position
+from m100link.protocol.setpoint import ReferenceFrame
 from m100link.wire import Cipher
 from tests import known
 from tests.known_columns import COLUMNS, OLDER, are, on_the_wire
@@ -343,3 +346,44 @@ def test_wireshark_reads_commands_where_their_values_stand() -> None:
     assert fields["m100.telemetry.battery.percent"] == "uint32"
     words = {one["abbreviation"]: one["words"] for one in made["fields"]}
     assert words["m100.telemetry.battery.percent"] is None
+
+
+# -- movements of ROS -----------------------------------------------------------------------------
+
+RATE, ANGLE, BODY = 0x08, 0x00, 0x02
+
+
+@pytest.mark.parametrize(
+    ("flag", "given", "expected"),
+    [
+        # Flag bits 7 and 6 are tilt, velocity or position; 5 and 4 velocity, height or thrust.
+        (0x40 | RATE, (1.0, 2.0, 3.0, math.radians(10)), (2.0, 1.0, 3.0, -10.0)),
+        (0x40 | RATE | BODY, (1.0, 2.0, -3.0, math.radians(-10)), (1.0, -2.0, -3.0, 10.0)),
+        (0x90 | RATE, (-4.0, 5.0, 12.0, 0.0), (5.0, -4.0, 12.0, 0.0)),
+        # A tilt is forward, left, up whatever the frame: pitch as DJI's node has it, negated.
+        (0x20 | RATE, (math.radians(5), math.radians(3), 45.0, 0.0), (5.0, -3.0, 45.0, 0.0)),
+        # Counter-clockwise from east becomes clockwise from north, −180 to 180 degrees.
+        (0x40 | ANGLE, (0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 90.0)),
+        (0x40 | ANGLE, (0.0, 0.0, 0.0, math.radians(135)), (0.0, 0.0, 0.0, -45.0)),
+        (0x40 | ANGLE, (0.0, 0.0, 0.0, math.radians(-135)), (0.0, 0.0, 0.0, -135.0)),
+        (0x40 | ANGLE, (0.0, 0.0, 0.0, math.radians(-100)), (0.0, 0.0, 0.0, -170.0)),
+        (0x40 | ANGLE, (0.0, 0.0, 0.0, math.radians(-80)), (0.0, 0.0, 0.0, 170.0)),
+    ],
+)
+def test_a_movement_of_ros_is_one_of_the_aircraft(
+    flag: int, given: tuple[float, ...], expected: tuple[float, ...]
+) -> None:
+    move = joy_move(flag, *given)
+    assert (move.x, move.y, move.z, move.yaw) == pytest.approx(expected)
+    is_tilt = flag >> 6 == 0
+    assert move.frame is ReferenceFrame(int(is_tilt or bool(flag & BODY)))
+    wanted = (flag >> 6 & 3, flag >> 4 & 3, flag >> 3 & 1)
+    assert tuple(int(one) for one in move.mode) == wanted
+
+
+@pytest.mark.parametrize(
+    ("flag", "names"), [(0xC8, "no control mode"), (0x78, "no control mode"), (0x4C, "no frame")]
+)
+def test_a_flag_that_names_nothing_moves_nothing(flag: int, names: str) -> None:
+    with pytest.raises(BadSetpoint, match=names):
+        joy_move(flag, 1.0, 2.0, 3.0, 0.0)
