@@ -161,3 +161,38 @@ def test_a_place_of_another_package_than_the_one_that_is_due_is_a_fix() -> None:
 @pytest.mark.parametrize("place", [position(latitude=math.nan), position(latitude=89.5)])
 def test_what_cannot_be_a_place_is_no_fix(place: Position) -> None:
     assert [topic for topic, _ in seen(FrameInterpreter(0.0), {"changed": (place,)})] == [TELEMETRY]
+
+
+def test_whose_app_it_is_stands_in_no_log() -> None:
+    """Neither of an activation nor of one that cannot be read, by whoever sends it."""
+    app_id = b"\xe5\x91\x3c\x7a"
+    whole = b"\x00\x01" + app_id + bytes(8) + b"12345678901234567890123456789012"
+    for data, told_of in ((whole, {}), (whole[:-9], {"problem": "unreadable"})):
+        frame = encode_frame(data, session=2, sequence=9)
+        for told in (
+            FrameInterpreter(0.0).sent(frame, None, FIRMWARE),
+            FrameInterpreter(0.0).received(frame, 1.0, None, FIRMWARE),
+        ):
+            [(_, found)] = told
+            direction = found.pop("direction")
+            assert direction in ("tx", "rx")
+            assert found == told_of | {
+                **{"is_ack": False, "session": 2, "sequence": 9},
+                **{"command": "activate", "redacted": True},
+            }
+
+
+def test_what_wants_no_answer_is_answered_by_nothing() -> None:
+    """Session 0: an ack under its numbers is of something else. An empty frame says nothing."""
+    witness = FrameInterpreter(0.0)
+    assert len(list(witness.sent(encode_frame(OBTAIN, session=0, sequence=9), None, FIRMWARE))) == 1
+    stray = encode_frame(b"\x02\x00", session=0, sequence=9, is_ack=True)
+    [(_, answer)] = witness.received(stray, 1.0, None, FIRMWARE)
+    assert (answer["command"], answer["data"]) == ("?", "0200")
+    empty = encode_frame(b"", session=2, sequence=1)
+    assert list(witness.sent(empty, None, FIRMWARE)) == []
+    list(witness.sent(encode_frame(OBTAIN, session=2, sequence=9), None, FIRMWARE))
+    short = encode_frame(b"\x02", session=2, sequence=9, is_ack=True)
+    [(_, unread)] = witness.received(short, 1.0, None, FIRMWARE)
+    assert (unread["command"], "ack" in unread) == ("request_authority", False)
+    assert unread["problem"]
