@@ -165,7 +165,7 @@ def test_thrust_by_battery_is_found_where_the_battery_empties() -> None:
 
 
 def test_a_limit_that_no_command_reaches_is_not_found() -> None:
-    seen = recorded(HIDDEN, steering(5, 5.0, BY_TILT, 20.0, 46.0, 0.0))
+    seen = recorded(HIDDEN, steering(5, 3.0, BY_TILT, 20.0, 46.0, 0.0))
     chance = Random(9)
     for step in range(300):  # at rest, much later
         seen.attitude.append((900.0 + step * STEP, 0.0, 0.0, 0.0))
