@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
 import os
 from types import SimpleNamespace
@@ -9,9 +10,10 @@ from typing import Any, cast
 
 import pytest
 
-from m100link.apps.doctor import diagnosis, line
+from m100link.apps.doctor import diagnosis, first_contact, line
 from m100link.apps.doctor.diagnosis import (
     _acceleration,
+    _activation,
     _at_rest,
     _authority,
     _firmware,
@@ -20,7 +22,14 @@ from m100link.apps.doctor.diagnosis import (
     _unanswered,
     _version,
 )
-from m100link.apps.doctor.first_contact import _lost, _Meeting, _Point, _steepest, _Witness
+from m100link.apps.doctor.first_contact import (
+    Topic,
+    _lost,
+    _Meeting,
+    _Point,
+    _steepest,
+    _Witness,
+)
 from m100link.apps.doctor.machine import Permission, Process
 from m100link.apps.doctor.port import (
     Finding,
@@ -31,10 +40,17 @@ from m100link.apps.doctor.port import (
     look_at_latency,
     look_at_port,
 )
-from m100link.errors import AckTimeout, AuthorityRefused, NoAircraft, UsageError
+from m100link.errors import (
+    AckTimeout,
+    AuthorityRefused,
+    CommandRefused,
+    NoAircraft,
+    UsageError,
+)
 from m100link.link import Direction
 from m100link.link.url import ConnectionString, parse_url
-from m100link.protocol.codes import AuthorityCode
+from m100link.protocol.codes import ActivationCode, AuthorityCode
+from m100link.protocol.commands.activation import Credentials
 from m100link.protocol.firmware import PROFILES
 from m100link.protocol.records import (
     AccelerationMode,
@@ -403,6 +419,7 @@ async def test_other_rates_are_tried_by_how_often_they_are_met_and_the_own_one_i
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     tried: list[int | None] = []
+    closed: list[int | None] = []
 
     class Deaf:
         lost, is_lost, data = None, False, bytearray()
@@ -414,7 +431,7 @@ async def test_other_rates_are_tried_by_how_often_they_are_met_and_the_own_one_i
             assert data[:1] == b"\xaa"
 
         async def close(self) -> None:
-            """Nothing is open."""
+            closed.append(tried[-1])  # before the next rate
 
     async def open_ear(address: ConnectionString) -> Deaf:
         tried.append(address.number)
@@ -423,7 +440,7 @@ async def test_other_rates_are_tried_by_how_often_they_are_met_and_the_own_one_i
     monkeypatch.setattr(line, "open_ear", open_ear)
     place = parse_url("serial:///dev/ttyUSB9:115200")
     assert await line._scan(place) is None
-    assert tried == [230_400, 921_600, 460_800, 1_000_000, 57_600]
+    assert tried == closed == [230_400, 921_600, 460_800, 1_000_000, 57_600]
     found = await line._no_frames(place, line.hear(b"\x91\x37" * 200))
     assert found.details["rates_tried"] == tried[:5]
     assert "at 115200 baud, nor at any other usual rate" in found.seen
@@ -529,3 +546,90 @@ def test_stages_have_their_order() -> None:
         *("TELEMETRY", "VERSION", "FIRMWARE", "ACCELERATION", "ACTIVATION", "KEY"),
         *("MODE_SWITCH", "AUTHORITY"),
     ]
+
+
+@pytest.mark.parametrize(
+    ("code", "seen"),
+    [
+        (ActivationCode.LEVEL_TOO_HIGH, "activation was refused"),
+        (ActivationCode.NEW_DEVICE, "activation was refused; so for 20 s"),
+    ],
+)
+async def test_whose_app_it_is_stands_in_no_finding(
+    code: ActivationCode, seen: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The error of a program names the app; a report is given to others."""
+    waits: list[float] = []
+
+    async def stands(_state: object) -> bool:
+        return True
+
+    async def activate(_credentials: object, *, timeout: float) -> None:
+        waits.append(timeout)
+        raise CommandRefused("activation of app 777777 was refused", code=code)
+
+    link = SimpleNamespace(latency=SimpleNamespace(slack_s=0.75))
+    aircraft = an_aircraft(activate=activate, link=link)
+    key = Credentials(777_777, "5a" * 32)
+    found = await _activation(aircraft, cast(Any, None), key)
+    assert (found.stage, found.verdict) == (Stage.ACTIVATION, FAILED)
+    assert found.seen.startswith(seen)
+    assert "777777" not in str(found.to_json())
+    meeting: Any = SimpleNamespace(_aircraft=aircraft, _asked=yes)
+    aircraft._requests = SimpleNamespace(knows_firmware=True)
+    monkeypatch.setattr(first_contact, "stands", stands)
+    assert "777777" not in await _Meeting._obstacle(meeting, key)
+    assert waits == [20.0 + 2 * 0.75, 20.0]  # a slow line adds two answers
+
+
+async def yes(_text: str) -> bool:
+    return True
+
+
+@pytest.mark.parametrize(
+    ("seen", "arrives", "firmware", "pushes", "told"),
+    [
+        ("raw", True, "3.1", 3, [("raw", "shown by its values at rest"), ("sent", "3 pushes")]),
+        (None, True, "3.1", 0, [("", "its values at rest are neither"), ("not sent", "0 pushes")]),
+        (
+            None,
+            False,
+            "2.3",
+            3,
+            [("", "it does not arrive"), ("", "this firmware has no missions")],
+        ),
+    ],
+)
+async def test_at_rest_acceleration_and_mission_status_show_themselves(
+    seen: str | None, arrives: bool, firmware: str, pushes: int, told: list[tuple[str, str]]
+) -> None:
+    """Of the pushes only those that come meanwhile count."""
+    clock = asyncio.get_running_loop().time
+    seen_of: list[tuple[Topic, str, str]] = []
+    witness = _Witness()
+    witness.pushes[b"\x02\x03"] = 7
+
+    def rates() -> None:
+        witness.pushes[b"\x02\x03"] += pushes
+
+    meeting: Any = SimpleNamespace(
+        **{"_witness": witness, "_clock": clock, "_rates": rates},
+        _reader=SimpleNamespace(has_arrived=arrives, seen=seen),
+        _aircraft=SimpleNamespace(firmware=PROFILES[firmware]),
+        _see=lambda *found: seen_of.append(found),
+    )
+    began = clock()
+    await _Meeting._at_rest(meeting)
+    # Two seconds at least; six in which acceleration that arrives shows nothing.
+    waits = 6.0 if arrives and seen is None else 2.0
+    assert waits <= clock() - began < waits + 1.2
+    assert [topic for topic, *_ in seen_of] == [Topic.ACCELERATION, Topic.MISSION_STATUS]
+    for (_, found, figures), (wanted, words) in zip(seen_of, told, strict=True):
+        assert (found, words in figures) == (wanted, True)
+
+
+@pytest.mark.parametrize(("firmware", "twice"), [("1.0", False), ("2.3", True), ("3.1", True)])
+def test_code_3_means_in_progress_since_2_3(firmware: str, twice: bool) -> None:
+    meeting: Any = SimpleNamespace(_aircraft=SimpleNamespace(firmware=PROFILES[firmware]))
+    asks = _Meeting.__dict__["_asks_twice"]
+    assert asks.fget(meeting) is twice
