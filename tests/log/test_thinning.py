@@ -70,6 +70,9 @@ def test_a_row_comes_as_often_as_its_interval_and_not_more_often() -> None:
         if thinning.hear(value, FIRMWARE_1_0, 100.0 + number * 0.019_999) is not None
     ]
     assert rows == [0, 5, 10, 15, 20, 25]
+    early = RateLimiter(0.1)  # a twentieth too early is no hair
+    often = [early.hear(value, FIRMWARE_1_0, 100.0 + n * 0.095) is not None for n in range(4)]
+    assert often == [True, False, True, False]
     told = RateLimiter(1.0).hear(value, FIRMWARE_1_0, 123.25)
     assert told is not None
     assert told[1]["received_at"] == 123.25
