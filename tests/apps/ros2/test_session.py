@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from m100link.apps.ros2.node import MOST_BYTES, open_ros2
+from m100link.apps.ros2.node import open_ros2
 from m100link.errors import UsageError
 from tests.apps.bus.pair import free_place, until
 
@@ -36,13 +36,13 @@ async def test_two_meet_by_what_their_environment_says() -> None:
         seen: list[int] = []
 
         def arrives() -> bool:
-            for size in (MOST_BYTES, MOST_BYTES + 1):
+            for size in (32768, 32769):
                 outlet.put(bytes(size), b"")
             seen.extend(len(one.payload) for one in inbox.take())
             return len(set(seen)) == 2
 
         await until(arrives)
-        assert set(seen) == {MOST_BYTES, 0}
+        assert set(seen) == {32768, 0}
 
 
 @pytest.mark.parametrize(

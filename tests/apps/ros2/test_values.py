@@ -29,6 +29,7 @@ from m100link.apps.agent.messages import (
     Telemetry,
 )
 from m100link.apps.agent.orders import FlyTo, GuidedFlight
+from m100link.apps.ros2 import actions, control, endpoints, node, services
 from m100link.apps.ros2.actions import FLIGHTS
 from m100link.apps.ros2.graph import data_key
 from m100link.apps.ros2.publishers import ALL_OUTPUTS
@@ -68,6 +69,28 @@ from tests.known import (
 
 NAN = math.nan
 SEC = int(UTC)
+
+# -- the numbers of docs/howto/fly-by-ros2.md ------------------------------------------------------
+
+MANUAL = [
+    (control, "SILENCE_S", 0.5),
+    (control, "LIFETIME", 0.3),
+    (control, "IDLE_S", 60.0),
+    (actions, "FEEDBACK_S", 0.5),
+    (services, "MOST_HZ", 100.0),
+    (endpoints, "ASK_S", 0.5),
+    (endpoints, "SILENCE_S", 1.5),
+    (node, "MOST_BYTES", 32_768),
+]
+
+
+@pytest.mark.parametrize(
+    ("module", "name", "value"), MANUAL, ids=[f"{m.__name__}.{name}" for m, name, _ in MANUAL]
+)
+def test_a_limit_is_that_of_the_manual(module: Any, name: str, value: float) -> None:
+    """Other tests of it may read the limit where the code has it."""
+    assert getattr(module, name) == value
+
 
 # -- what it tells --------------------------------------------------------------------------------
 

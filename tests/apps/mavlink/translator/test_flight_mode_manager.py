@@ -12,7 +12,7 @@ from m100link.apps.agent.messages import LeaseChanged, State
 from m100link.apps.agent.orders import ChangeHeight, FlyTo, PauseMission, ResumeMission
 from m100link.apps.mavlink.order_executor import MissionFlights
 from m100link.apps.mavlink.translator.codec import Peer
-from m100link.apps.mavlink.translator.flight_mode_manager import REMEMBERED_S, FlightModeManager
+from m100link.apps.mavlink.translator.flight_mode_manager import FlightModeManager
 from m100link.apps.mavlink.translator.numbers import MavCommand, MavResult, Severity
 from m100link.apps.mavlink.translator.orders import (
     CancelTakeOff,
@@ -485,12 +485,14 @@ def test_a_remembered_wish_ends() -> None:
     manager, world, told = manager_in(VehiclePhase.DISARMED)
     manager.request_mode(ModeRequest(Mode.MISSION, ORDERS[Mode.MISSION], PEER), 0.0)
     assert shown(manager) is Mode.MISSION
-    manager.advance(REMEMBERED_S)
+    manager.advance(9.9)
+    assert shown(manager) is Mode.MISSION
+    manager.advance(10.0)
     assert shown(manager) is Mode.POSCTL
     assert "not armed" in told[-1][1]
     world.now_phase = VehiclePhase.ARMED
     manager._arming = order = ObtainControl(PEER.name)
-    manager.armed(order, None, REMEMBERED_S + 1)
+    manager.armed(order, None, 11.0)
     assert manager.orders == []
 
 
