@@ -104,6 +104,26 @@ async def test_so_many_bytes_a_second_leave_it_and_an_early_client_hears_when(ro
     assert max(told) < 1.5
 
 
+async def test_each_waits_its_turn_for_half_a_second_and_else_hears_how_long(road: Road) -> None:
+    """At 100,000 bytes a second: fifty thousand take half of one."""
+    service = road.service(rate=100_000.0)
+    began = anyio.current_time()
+
+    turns: list[float] = []
+
+    async def turn(size: int) -> None:
+        turns.extend((await service._may_go(size), anyio.current_time() - began))
+
+    for size in (50_000, 20_000, 60_000, 1):
+        await turn(size)
+    assert turns[:6] == pytest.approx([0.0, 0.0, 0.0, 0.5, 0.0, 0.7])
+    assert turns[6:] == pytest.approx([0.6, 0.7]), "later than half a second"
+    await anyio.sleep(0.7)
+    await turn(10_000)
+    await turn(10_000)
+    assert turns[8:] == pytest.approx([0.0, 1.4, 0.0, 1.5]), "what was not sent is not saved up"
+
+
 async def test_of_a_flood_few_wait_and_the_rest_is_not_even_read(road: Road) -> None:
     reads = 0
 

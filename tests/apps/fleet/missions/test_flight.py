@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import anyio
 import pytest
 
+from m100link.apps.agent import orders
 from m100link.apps.agent.messages import MessageError
 from m100link.apps.fleet.keys import Keys
-from m100link.apps.fleet.missions.flight import FleetMission, mission_card
+from m100link.apps.fleet.missions.flight import FleetMission, MissionOrders, mission_card
 from m100link.apps.fleet.payloads import MissionCard, MissionStage, pack
 from m100link.errors import M100Error, NotObserved, OutcomeUnknown, Unreachable
 from m100link.flight.missions.events import (
@@ -209,3 +213,77 @@ async def test_a_plan_that_is_refused_flies_nothing_and_says_why(
                 pass
     assert one.height < 0.1
     assert one.fleet_agent.missions.stage in (MissionStage.OVER, MissionStage.NONE)
+
+
+# -- what cards become: events once each, in their order -------------------------------------------
+
+
+def a_card(stage: MissionStage = MissionStage.FLYING, **more: Any) -> MissionCard:
+    return MissionCard("a1", "run", stage, **more)
+
+
+def mission() -> FleetMission:
+    asker: Any = SimpleNamespace(keys=Keys(SITE, "a1"))
+    nothing: Any = None
+    return FleetMission(asker, nothing, nothing, take_off=False)
+
+
+async def test_each_change_of_a_card_is_one_event() -> None:
+    one = mission()
+    for card in (
+        a_card(elapsed_s=1.5, index=2, status=5, distance_m=40.25, height_m=9.75),
+        a_card(reached=b"\1\0"),
+        a_card(reached=b"\1\0\2", is_paused=True),
+        a_card(reached=b"\1\0\2", is_paused=True),
+        a_card(reached=b"\1\0\2"),
+        a_card(MissionStage.OVER, reached=b"\1\0\2\3", is_finished=True),
+        a_card(MissionStage.OVER, reached=b"\1\0\2\3", is_finished=True),
+    ):
+        one._note(card)
+    assert list(one._events) == [
+        MissionProgress(1.5, 2, 5, 40.25, 9.75),
+        Reached(1),
+        Reached(0),
+        Reached(2),
+        Paused(),
+        Resumed(),
+        Reached(3),
+        Finished(),
+    ]
+    assert one.is_over
+
+
+@pytest.mark.parametrize("stage", [MissionStage.OVER, MissionStage.NONE])
+@pytest.mark.parametrize("is_stopped", [True, False])
+async def test_the_end_of_one_that_was_stopped_is_said_once(
+    stage: MissionStage, is_stopped: bool
+) -> None:
+    one = mission()
+    one._is_stopped = is_stopped
+    for _ in range(2):
+        one._note(a_card(stage))
+    assert list(one._events) == [Stopped()] * is_stopped
+    assert one.is_over
+    other = mission()
+    other._note(a_card(MissionStage.STARTING))
+    assert not other.is_over
+
+
+async def test_a_speed_is_in_metres_and_answered_in_millimetres() -> None:
+    asked: list[Any] = []
+
+    async def ask(order: Any) -> Any:
+        asked.append(order)
+        return SimpleNamespace(number=3250, text="the digest")
+
+    found = MissionOrders(ask)
+    assert await found.set_speed(4.5) == 3.25
+    await found.start("ab" * 32, take_off=True)
+    await found.stop()
+    await found.stop("rain")
+    assert asked == [
+        orders.SetMissionSpeed(4.5),
+        orders.StartMission("ab" * 32, True),
+        orders.Halt("its operator stopped it"),
+        orders.Halt("rain"),
+    ]
