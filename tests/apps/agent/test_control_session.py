@@ -8,6 +8,7 @@ from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import replace
 from functools import partial
 from random import Random
+from types import SimpleNamespace
 from typing import Any
 
 import anyio
@@ -40,14 +41,17 @@ from m100link.apps.agent.messages import (
 from m100link.apps.agent.server.server import AgentServer
 from m100link.apps.agent.transports import MemoryChannel, memory_channels
 from m100link.errors import (
+    AckTimeout,
     AuthorityLost,
     GuardRefused,
     LinkError,
     LossReason,
     M100Error,
+    MissionRunning,
     NoAuthority,
     NotObserved,
     StaleLease,
+    TaskRefused,
 )
 from m100link.protocol.setpoint import Setpoint
 from tests.apps.agent.conftest import Rig, hears_late, pattern_of
@@ -1482,3 +1486,49 @@ async def test_an_order_whose_work_is_cancelled_is_answered(pilots: Pilots) -> N
             task.cancel()
     with pytest.raises(NotObserved, match="gave it up"):
         await asyncio.wait_for(asked, 5.0)
+
+
+@pytest.mark.parametrize(
+    ("error", "is_repeated"),
+    [
+        (TaskRefused("busy"), True),
+        (AckTimeout("no answer"), True),
+        (MissionRunning("it flies"), True),
+        (StaleLease("not in force"), False),
+        (GuardRefused("stopped", guard="stopped"), False),
+    ],
+)
+async def test_a_landing_that_is_refused_is_asked_for_again_for_a_minute(
+    error: M100Error, is_repeated: bool
+) -> None:
+    """Twice a second, with the time at which it was wanted; a mission in the way is ended."""
+    began, lease = anyio.current_time(), Lease("front", "token", 7)
+    asked: list[tuple[float, orders.Order, Any, Any]] = []
+
+    async def ask(
+        order: orders.Order, lease: Any, accepted: Any = None, asked_at: Any = None
+    ) -> None:
+        assert accepted is None
+        asked.append((round(anyio.current_time() - began, 3), order, lease, asked_at))
+        if isinstance(order, orders.Land):
+            raise error
+
+    class Agent:
+        now = property(lambda _: anyio.current_time() - began)
+        view = SimpleNamespace(is_on_ground=False)
+
+    agent: Any = Agent()
+    agent.ask = ask
+    session: Any = object.__new__(ControlSession)
+    session._agent, session._lease = agent, lease
+    with pytest.raises(type(error)):
+        await session.bring_down(orders.Land(), 3.5)
+    landings = [at for at, order, *_ in asked if isinstance(order, orders.Land)]
+    assert landings == pytest.approx([n / 2 for n in range(121)] if is_repeated else [0.0])
+    assert all((found, at) == (lease, 3.5) for _, _, found, at in asked)
+    stops = sum(isinstance(order, orders.StopMission) for _, order, *_ in asked)
+    assert stops == (120 if isinstance(error, MissionRunning) else 0)
+    asked.clear()
+    agent.view.is_on_ground = True
+    await session.bring_down(orders.Land(), 3.5)
+    assert asked == [], "it is where it is wanted"
