@@ -25,6 +25,7 @@ from m100link.apps.agent.messages import (
     LinkCounted,
     Message,
     OrderOutcome,
+    Replay,
     Stage,
     State,
     Steer,
@@ -242,6 +243,23 @@ async def test_telemetry_is_kept_while_the_aircraft_is_connected() -> None:
         assert known is not None
         assert client.telemetry is known, "it is not begun anew"
         assert known.newest_at == 0.25
+
+
+async def test_what_a_replay_played_before_it_was_moved_is_void() -> None:
+    ours, its = memory_channels()
+    replay = Replay("f", 0.0, 5.0, 5.0, None, 0.0, 60.0, 1.0, False, False, False)
+    async with AgentClient(ours, "front") as client:
+        agent = KnownAgent(its, replace(CONNECTED, replay=replay))
+        for at, newest in ((4.75, None), (5.0, 5.0), (5.25, 5.25), (4.9, 5.25)):
+            agent.tell_package(at)
+            assert client.telemetry is not None
+            assert client.telemetry.newest_at == newest
+        before = client.telemetry
+        agent.tell(replace(CONNECTED, replay=replace(replay, since=5.5)))
+        assert client.telemetry is not before, "of another place of the flight"
+        agent.tell_package(5.4)
+        assert client.telemetry is not None
+        assert (client.telemetry.newest_at, client.unread) == (None, 0)
 
 
 # -- the lease by the clock ------------------------------------------------------------------------
