@@ -229,6 +229,11 @@ class Control:
         return self._guards.origin
 
     @property
+    def setpoint(self) -> Setpoint | None:
+        """The setpoint that is being sent; its neutral after it expired, None in silence."""
+        return self._setpoints.current
+
+    @property
     def setpoints_sent(self) -> int:
         """Movement frames sent in this block, neutrals included."""
         return self._setpoints.sent

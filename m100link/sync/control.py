@@ -94,6 +94,7 @@ class Control(Handed):
     state = Reads[AircraftState](aio.Control.state)
     guards = Reads[Guards](aio.Control.guards)
     origin = Reads[tuple[float, float] | None](aio.Control.origin)
+    setpoint = Reads[Setpoint | None](aio.Control.setpoint)
     setpoints_sent = Reads[int](aio.Control.setpoints_sent)
     setpoints_expired = Reads[int](aio.Control.setpoints_expired)
     pace = Reads[Pace](aio.Control.pace)

@@ -371,6 +371,7 @@ class AgentClient:
             connection="lost",
             connection_fault=messages.RemoteError.of(messages.agent_gone(reason)),
             has_authority=False,
+            setpoint_age=None,
             holding="none",
             task="",
             pattern="",

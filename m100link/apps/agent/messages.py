@@ -37,7 +37,7 @@ JOURNAL_LOG = __name__
 
 _logger = logging.getLogger(JOURNAL_LOG)
 
-VERSION = 15
+VERSION = 16
 """Of these messages. Both ends name theirs in :class:`Hello` and part when they differ."""
 
 LEVELS = ("info", "warning", "error")
@@ -130,6 +130,9 @@ class State:
     #: State of control authority, a :class:`~m100link.apps.agent.server.authority.HoldingState`.
     holding: str = "none"
     has_authority: bool = False  #: whether setpoints and tasks are obeyed
+    #: Seconds since its sender decided on the setpoint that the aircraft is being sent; None while
+    #: it is sent none of the holder of the lease.
+    setpoint_age: float | None = None
     task: str = ""  #: the task that the autopilot flies; empty for none
     pattern: str = ""  #: name of the program that flies; empty for none
     #: The flight to where somebody points, with the rest of it; None for none.

@@ -77,6 +77,14 @@ class ActiveFlight:
         return self._has_armed and is_on_ground(self._control.state) is True
 
     @property
+    def is_steered(self) -> bool:
+        """Whether a setpoint of the holder of the lease is being sent: not refused, not expired."""
+        last = self._last
+        if last is None or self._pattern is not None or self.guiding.order is not None:
+            return False
+        return self._control.setpoint is last
+
+    @property
     def flown(self) -> Flown:
         if self.task is not None:
             return Flown(self.task)

@@ -151,6 +151,7 @@ class AgentServer:
             holding.state,
             holding.has_authority,
             flying and (flying.task, flying.pattern, flying.guiding.order),
+            flying is not None and flying.is_steered,
             aircraft and aircraft.mission,
             agent.replay and self._replay_changed(agent.replay.progress()),
         )
@@ -167,7 +168,7 @@ class AgentServer:
         """The state as :meth:`_tell_state` saw it last, with what changes all the time."""
         agent, now = self._agent, self._agent.now
         connection, error, is_activated, code, fault, holding, has_authority, *rest = self._sent
-        flown, mission, _ = rest
+        flown, is_steered, mission, _ = rest
         task, pattern, _ = flown or (None, None, None)
         mission = mission or MissionState()
         aircraft, flying = agent.connection.aircraft, agent.holding.flying
@@ -182,6 +183,7 @@ class AgentServer:
             activation_fault=messages.fault_of(fault),
             holding=holding.value,
             has_authority=has_authority,
+            setpoint_age=now - agent.steered_at if is_steered else None,
             task=task or "",
             pattern=pattern or "",
             guided=flying.guiding.current() if flying is not None else None,
@@ -318,6 +320,7 @@ class ClientSession:
                 )
             token = self._tokens.get(steer.fence, "")
             self._agent.steer(token, steer.setpoint, steer.lifetime)
+            self._agent.steered_at = steer.sent_at
         except M100Error as error:
             self._before_outcome()
             self.tell(messages.SteerRefused(steer.fence, messages.RemoteError.of(error)))

@@ -716,3 +716,39 @@ async def test_the_loser_of_the_lease_hears_what_was_flown(flown: Flown) -> None
         assert speed_of(rig) < 0.1
         has_landed = not rig.aircraft.vehicle.flight.dynamics.motors_on
         assert has_landed is (flown is Flown.LAND)
+
+
+# -- which setpoints go out ------------------------------------------------------------------------
+
+
+async def test_the_state_tells_whether_the_holders_setpoint_goes_out_and_since_when() -> None:
+    async with Rig().running() as rig:
+        front = Front(rig, AgentServer(rig.agent))
+        rig.agent.leases.release(rig.token, rig.agent.now)
+        fence = await front.airborne()
+
+        async def told(seconds: float) -> list[float | None]:
+            """The newest, and each that comes in this time."""
+            count = len(front.all(State)) - 1
+            await anyio.sleep(seconds)
+            return [state.setpoint_age for state in front.all(State)[count:]]
+
+        assert set(await told(0.6)) == {None}
+        decided_at = rig.agent.now - 0.2  # it was so long on its way
+        front.send(Steer(fence, decided_at, 0.3, NORTH))
+        assert (await told(0.05))[-1] is not None, "with the next telemetry"
+        state = front.all(State)[-1]
+        assert state.setpoint_age == pytest.approx(state.at - decided_at)
+        assert None not in (await told(0.2))
+        assert (await told(0.1))[-1] is None, "it expired"
+        front.send(Steer(fence, rig.agent.now, 0.3, NORTH))
+        assert (await told(0.05))[-1] is not None
+        front.send(Ask(0, orders.Halt(), fence))
+        assert (await told(0.05))[-1] is None, "it hovers"
+        for wrong in (Steer(fence + 1, rig.agent.now, 0.3, NORTH), Steer(fence, 0.0, 0.3, NORTH)):
+            front.send(wrong)
+            assert set(await told(0.3)) == {None}
+        assert len(front.all(SteerRefused)) == 2
+        front.send(Ask(7, orders.FlyPattern(1), fence))
+        await front.outcome(7)
+        assert set(await told(1.0)) == {None}, "the setpoints of a program are not its holder's"
