@@ -409,6 +409,48 @@ class GuidedFlight:
     seconds: float | None = None  #: the rest of the time, roughly; None before it is known
 
 
+# -- the life of an order: of a button, and of one press of keys or sticks -------------------------
+
+
+class Life(Enum):
+    """How far an order has come, by what the agent and telemetry say."""
+
+    SENT = "sent"  # nobody has answered
+    ACCEPTED = "accepted"  # the agent carries it out, and the aircraft does not show it
+    FLOWN = "flown"  # and telemetry shows it
+    OLD = "old"  # it was carried out, and no news of it is young enough
+    REFUSED = "refused"  # it was not carried out
+    DONE = "done"
+    ENDED = "ended"  # something else ended it, or it failed, after it had begun
+
+
+class News(Enum):
+    """The inputs of the table."""
+
+    TAKEN = "taken"  # the agent carries it out
+    LEFT = "left"  # it does not any more, and nobody said why
+    SEEN = "seen"  # telemetry shows what is wanted
+    UNSEEN = "unseen"  # it shows something else
+    SILENCE = "silence"  # nothing is heard
+    DONE = "done"
+    FAILED = "failed"  # an error, or the end of control
+
+
+_L, _N = Life, News
+
+_BEGUN = {_N.LEFT: _L.SENT, _N.SILENCE: _L.OLD, _N.DONE: _L.DONE, _N.FAILED: _L.ENDED}
+LIVES: dict[Life, dict[News, Life]] = {
+    _L.SENT: {_N.TAKEN: _L.ACCEPTED, _N.DONE: _L.DONE, _N.FAILED: _L.REFUSED},
+    _L.ACCEPTED: _BEGUN | {_N.SEEN: _L.FLOWN},
+    _L.FLOWN: _BEGUN | {_N.UNSEEN: _L.ACCEPTED},
+    _L.OLD: {_N.TAKEN: _L.ACCEPTED, _N.LEFT: _L.SENT, _N.DONE: _L.DONE, _N.FAILED: _L.ENDED},
+    _L.REFUSED: {},
+    _L.DONE: {},
+    _L.ENDED: {},
+}
+"""Life, news, next life. A pair that is not in the table changes nothing."""
+
+
 # -- keys, sticks and the 2015 Quaternion as setpoints ---------------------------------------------
 
 

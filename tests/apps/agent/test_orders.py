@@ -16,7 +16,18 @@ import pytest
 from m100link.apps.agent import orders
 from m100link.apps.agent.codec import decode, encode
 from m100link.apps.agent.messages import Ask, MessageError
-from m100link.apps.agent.orders import ORDERS, AfterStop, Age, Needs, Order, Right, setpoint_of
+from m100link.apps.agent.orders import (
+    LIVES,
+    ORDERS,
+    AfterStop,
+    Age,
+    Life,
+    Needs,
+    News,
+    Order,
+    Right,
+    setpoint_of,
+)
 from m100link.apps.agent.server import agent as handlers
 from m100link.errors import M100Error, UsageError
 from m100link.protocol.firmware import FIRMWARE_3_1
@@ -178,3 +189,37 @@ def test_the_four_numbers_of_a_request_are_those_of_djis_node() -> None:
     assert setpoint_of(2, 0.0, 0.0, 0.0, 0.0).control_flag(FIRMWARE_3_1) == 0x48
     with pytest.raises(UsageError, match="no control mode 3"):
         setpoint_of(3, 0.0, 0.0, 0.0, 0.0)
+
+
+# -- the life of an order --------------------------------------------------------------------------
+
+# By hand: before, then what becomes of it by each news in the order of the columns.
+LIVES_BY_HAND = """
+          taken     left  seen   unseen    silence  done  failed
+sent      accepted  -     -      -         -        done  refused
+accepted  -         sent  flown  -         old      done  ended
+flown     -         sent  -      accepted  old      done  ended
+old       accepted  sent  -      -         -        done  ended
+refused   -         -     -      -         -        -     -
+done      -         -     -      -         -        -     -
+ended     -         -     -      -         -        -     -
+"""
+
+
+def test_each_news_of_each_life_of_an_order() -> None:
+    heads, *rows = [line.split() for line in LIVES_BY_HAND.strip().splitlines()]
+    assert heads == [news.value for news in News]
+    assert [row[0] for row in rows] == [life.value for life in Life]
+    for before, *afters in rows:
+        for news, after in zip(News, afters, strict=True):
+            found = LIVES[Life(before)].get(news)
+            assert (found.value if found else "-") == after, (before, news)
+
+
+def test_nothing_is_flown_that_nobody_accepted_and_no_end_is_followed_by_anything() -> None:
+    for life, row in LIVES.items():
+        assert [news for news, after in row.items() if after is Life.FLOWN] == (
+            [News.SEEN] if life is Life.ACCEPTED else []
+        )
+        is_end = life in (Life.REFUSED, Life.DONE, Life.ENDED)
+        assert (not row) is is_end

@@ -15,11 +15,15 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Awaitable, Callable
+from contextvars import ContextVar
+from dataclasses import dataclass
 from enum import StrEnum
+from operator import mul
 from typing import Any, TypeGuard
 
+from m100link.apps.agent import orders
 from m100link.apps.agent.background import ignore
-from m100link.apps.agent.client import PRESSED_AT, AgentClient
+from m100link.apps.agent.client import PRESSED_AT, AgentClient, VehicleView
 from m100link.apps.agent.control_session import ControlSession, ControlState, Terms
 from m100link.apps.agent.latency import (
     MAX_LATE,
@@ -29,10 +33,13 @@ from m100link.apps.agent.latency import (
     PAGE_GRAIN,
     ClockEstimate,
 )
-from m100link.apps.agent.orders import setpoint_of
+from m100link.apps.agent.messages import OrderOutcome
+from m100link.apps.agent.orders import LIVES, Life, News, setpoint_of
 from m100link.apps.station.config import ONLY_NAME
 from m100link.errors import GuardRefused, M100Error, NotObserved
 from m100link.errors.texts import read_json
+from m100link.protocol.records import AngularVelocity, Attitude, RcMode, Velocity
+from m100link.protocol.setpoint import Horizontal, Setpoint
 
 BEAT_LIFETIME = 0.3  # seconds that a beat lasts
 
@@ -47,6 +54,9 @@ _HAS_TO_LET_GO = {
     ControlState.STOPPED: "STOP was pressed",
     ControlState.SUSPENDED: "control was lost meanwhile",
 }
+
+# The order that the present task carries out.
+_ISSUED: ContextVar[IssuedOrder] = ContextVar("issued")
 
 MAX_BEAT = 2000
 _COMPLAINT_PAUSE = 1.0
@@ -74,10 +84,13 @@ class Tab:
         self.dropped = 0  # pictures of telemetry that its page did not get because it is slow
         self._last_number = -1
         self.way = ClockEstimate(PAGE_GRAIN)
-        self._press = Press()
-        # The number of the newest order of this tab that moves the aircraft or ends a motion, and
-        # was not refused; beats count. An order that it replaced did not fail.
-        self._count = self._newest = 0
+        self._count = 0  # of orders and presses
+        self._press = self._issue()
+        # The newest order of this tab that moves the aircraft or ends a motion, and was not
+        # refused; presses count. An order that it replaced did not fail.
+        self._newest = self._press
+        self.flight: IssuedOrder | None = None  # the newest one to where its operator points
+        self._refused_at, self._why = -math.inf, Fate.REFUSED  # the newest beat that was refused
         self._complained_at = -math.inf
         self._stopping: asyncio.Task[Any] | None = None  # one at a time, however often it is said
         # Why a hand that holds a key moves nothing until it lets go. Empty when it may.
@@ -116,23 +129,45 @@ class Tab:
         Work that a later order of this tab ended, such as STOP, is no failure. ``replaces``:
         whether this is such an order.
         """
-        self.refusal, before = None, self._newest
-        mine = self._replace() if replaces else before
+        self.refusal, before, mine = None, self._newest, self._issue()
+        if replaces:
+            self._newest = mine
+        answered = _ISSUED.set(mine)
         try:
             await work()
         except M100Error as error:
-            if isinstance(error, NotObserved) and replaces and mine != self._newest:
+            mine.hear(News.FAILED, self._agent.now, error)
+            is_replaced = replaces and mine is not self._newest
+            # The map says how a flight ended; one that hovers is no problem.
+            is_told = mine is self.flight and mine.life is Life.ENDED
+            if isinstance(error, NotObserved) and (is_replaced or is_told):
                 return False
             self.refusal = error
-            if mine == self._newest:
+            if mine is self._newest:
                 self._newest = before  # it was refused: what flew before goes on
             return False
+        finally:
+            _ISSUED.reset(answered)
+        mine.hear(News.DONE, self._agent.now)
         return True
 
-    def _replace(self) -> int:
+    async def ask(self, order: orders.Order, accepted: Callable[[], None] = ignore) -> OrderOutcome:
+        """Ask as the session does. In :meth:`attempt` this is the order whose life is told."""
+        mine = _ISSUED.get(None)
+        if mine is not None:
+            mine.order = order
+            self.flight = mine if isinstance(order, orders.GuidedOrder) else self.flight
+
+        def begun() -> None:
+            if mine is not None:
+                mine.hear(News.TAKEN, self._agent.now)
+            accepted()
+
+        return await self.session.ask(order, begun)
+
+    def _issue(self) -> IssuedOrder:
         self._count += 1
-        self._newest = self._count
-        return self._newest
+        return IssuedOrder(self._count, self._agent.now)
 
     async def stop(self, press: object = None) -> None:
         """Stop. Any tab may."""
@@ -206,13 +241,13 @@ class Tab:
         held = message.get("held", math.inf) / 1000.0
         late = self.way.late(at, now, message["told"] + held if "told" in message else None)
         if message["op"] == "beat":
-            if has_lease := session.has_lease:
+            if session.has_lease:
                 self._steer(message, at, late, held, now)
             self._beat_at = at
-            answer["fate"] = self._press.fate(self._agent, now, has_lease=has_lease)
+            answer["fate"], answer["order"] = self._fate(now), self._press.number
         elif session.has_lease:
             if message["op"] == "rest":
-                self._press = Press()
+                self._press = self._issue()
                 self._let_go(message)
             session.heard()
         return answer | {"told": now}
@@ -289,10 +324,10 @@ class Tab:
             setpoint = setpoint_of(
                 message["mode"], message["x"], message["y"], message["z"], message["w"]
             )
-            self._press.passed(now)
             self.session.steer(setpoint, BEAT_LIFETIME)
+            self._press.wanted = setpoint
             if self._agent.state.guided is not None:
-                self._replace()
+                self._newest = self._press
             self.beats += 1
         except M100Error as error:
             self.session.heard()  # the operator is there
@@ -303,11 +338,36 @@ class Tab:
         self.refusal = error
         if isinstance(error, GuardRefused) and error.guard == "stopped":
             self._has_to_let_go = error.seen.partition(";")[0]  # STOP, or somebody else's hover
+        guard = error.guard if isinstance(error, GuardRefused) else ""
         now = self._agent.now
-        self._press.refused(error, now)
+        self._why, self._refused_at = _GUARDS.get(guard, Fate.REFUSED), now
         if now - self._complained_at >= _COMPLAINT_PAUSE:
             self._complained_at = now
             self._agent.note(f"{self.session.name}: {error.seen}", "warning")
+
+    def _fate(self, now: float) -> Fate:
+        """What the page shows of the keys and sticks that are held."""
+        view, press = self._agent.view, self._press
+        why = self._obstacle(view, now)
+        if why is not None:
+            press.hear(News.FAILED, now, why)
+            return why
+        if press.is_over:  # what was in its way is gone
+            wanted, press = press.wanted, self._issue()
+            self._press, press.wanted = press, wanted
+        press.look(view, now)
+        is_ignored = press.life is Life.ACCEPTED and now - press.shown_at > IGNORED_S
+        return Fate.IGNORED if is_ignored and _moves(press.wanted) else Fate(press.life.value)
+
+    def _obstacle(self, view: VehicleView, now: float) -> Fate | None:
+        """Why nothing of what is held can be flown; None while nothing is known of the kind."""
+        if not self.session.has_lease:
+            return Fate.OTHER if view.holder.number else Fate.NO_CONTROL
+        if not view.has_authority:
+            return Fate.NO_CONTROL if view.switch in (None, RcMode.F) else Fate.PILOT
+        if now - self._refused_at <= BEAT_LIFETIME:
+            return self._why
+        return Fate.ON_GROUND if view.is_on_ground else None
 
     def _control_changed(self, state: ControlState) -> None:
         if why := _HAS_TO_LET_GO.get(state):
@@ -355,30 +415,46 @@ def _read(text: str | bytes) -> dict[str, Any] | None:
     return message if op != "beat" or type(message.get("mode")) is int else None
 
 
+def _moves(wanted: Setpoint | None) -> bool:
+    return wanted is not None and wanted != wanted.neutral()
+
+
 def _is_number(value: Any) -> TypeGuard[float]:
     return type(value) in (int, float) and -1e15 < value < 1e15
 
 
-# -- the fate of the beats of a press --------------------------------------------------------------
-# The page shows this fate instead of what it sent. A beat counts as flown once the agent took it.
-# The agent answers only beats that it refuses, and reports its state all the time. So when it has
-# reported since, and no refusal of a beat older than :data:`CERTAIN_AFTER` seconds came, that beat
-# was flown.
+# -- the life of a press and of a button -----------------------------------------------------------
+# A page shows this, and not what it sends. The agent reports whether the setpoints of this tab go
+# out to the aircraft, and telemetry whether it moves as they want: without both nothing is flown.
 
-CERTAIN_AFTER = 0.1  # seconds in which the agent would have refused
+OLD_S = 0.3
+"""Seconds without news of the agent, or of the motion, after which nobody knows what is flown."""
 
-_REPORTED_FOR = 0.3  # as long as a beat lasts: it was refused just now
+IGNORED_S = 3.0
+"""Seconds for which the aircraft may show nothing of what goes out to it: it brakes before."""
+
+TOLD_S = 20.0
+"""Seconds for which the end of a flight is shown."""
+
+_FOLLOWED = 0.3  # part of what is wanted that telemetry has to show
+_NEARER_S = 0.2  # by which the rest of a flight has to become shorter
 
 
 class Fate(StrEnum):
-    """The display of the page for a held key, stick or gamepad."""
+    """The display of the page for a held key, stick or gamepad: its life, or why none."""
 
-    SENT = "sent"  # nobody knows yet
-    FLOWN = "flown"
-    NO_CONTROL = "no_control"  # this tab has none, or the aircraft obeys somebody else
+    SENT = Life.SENT.value
+    ACCEPTED = Life.ACCEPTED.value
+    FLOWN = Life.FLOWN.value
+    OLD = Life.OLD.value
+    NO_CONTROL = "no_control"  # this tab has none, or the aircraft obeys somebody unknown
+    OTHER = "other"  # another client has it
+    PILOT = "pilot"  # the mode switch is out of F
     ON_GROUND = "on_ground"  # it stands: setpoints move nothing
     SLOW = "slow"
     LET_GO = "let_go_first"
+    FENCE = "fence"
+    IGNORED = "ignored"  # they go out, and the aircraft does not follow
     REFUSED = "refused"  # the line of problems says why
 
 
@@ -389,35 +465,81 @@ _GUARDS = {
     "setpoint_age": Fate.SLOW,
     "let_go": Fate.LET_GO,
     "stopped": Fate.LET_GO,
+    "envelope": Fate.FENCE,
 }
 
 
-class Press:
-    """One press of keys, sticks or a gamepad, and how much of it was carried out."""
+def follows(wanted: Setpoint, view: VehicleView) -> bool | None:
+    """Whether telemetry shows motion in each direction that a beat wants; None: nobody knows."""
+    speed, rates, across = view.together(Velocity), view.together(AngularVelocity), None
+    if wanted.mode.horizontal is Horizontal.TILT:
+        if (attitude := view.together(Attitude)) is not None:
+            across = attitude.roll_deg, attitude.pitch_deg
+    elif speed is not None:
+        across = speed.north_m_s, speed.east_m_s
+    found: bool | None = False  # nothing is wanted
+    for want, shown in (
+        ((wanted.x, wanted.y), across),
+        ((wanted.z,), None if speed is None else (speed.up_m_s,)),
+        ((wanted.yaw,), None if rates is None else (rates.yaw_rate_deg_s,)),
+    ):
+        if any(want):
+            if shown is None:
+                return None
+            found = sum(map(mul, want, shown)) >= _FOLLOWED * sum(map(mul, want, want))
+            if not found:
+                break
+    return found
 
-    def __init__(self) -> None:
-        # When it began to go on to the agent, when it last did, and when it was last refused.
-        self._since = self._passed_at = self._refused_at = -math.inf
-        self._why = Fate.REFUSED
 
-    def passed(self, now: float) -> None:
-        if now - self._passed_at > _REPORTED_FOR:
-            self._since = now
-        self._passed_at = now
+@dataclass(slots=True, eq=False)
+class IssuedOrder:
+    """One order of a tab, or one press of keys and sticks, and how far it has come."""
 
-    def refused(self, error: M100Error, now: float) -> None:
-        guard = error.guard if isinstance(error, GuardRefused) else ""
-        self._why, self._refused_at = _GUARDS.get(guard, Fate.REFUSED), now
-        self._passed_at = -math.inf  # what comes after it is another press
+    number: int
+    begun_at: float  # s
+    order: orders.Order | None = None  # None: keys and sticks, or nothing that an agent does
+    wanted: Setpoint | None = None  # by keys and sticks, if anything moves
+    life: Life = Life.SENT
+    why: M100Error | Fate | None = None  # it was refused, or ended
+    over_at: float = math.inf  # s
+    shown_at: float = math.inf  # when telemetry showed it last, or it was accepted, s
+    left_s: float = math.inf  # seconds that a flight has left at least
+    nearer_at: float = -math.inf  # when that became less, s
 
-    def fate(self, agent: AgentClient, now: float, *, has_lease: bool) -> Fate:
-        view = agent.view
-        if not has_lease or not view.has_authority:
-            return Fate.NO_CONTROL
-        if now - self._refused_at <= _REPORTED_FOR:
-            return self._why
-        if view.is_on_ground:
-            return Fate.ON_GROUND
-        if self._passed_at < self._since or agent.heard_at - self._since < CERTAIN_AFTER:
-            return Fate.SENT
-        return Fate.FLOWN
+    @property
+    def is_over(self) -> bool:
+        return not LIVES[self.life]
+
+    def hear(self, news: News, now: float, why: M100Error | Fate | None = None) -> None:
+        before, self.life = self.life, LIVES[self.life].get(news, self.life)
+        if news is News.SEEN or before is Life.SENT is not self.life:
+            self.shown_at = now
+        if self.is_over and LIVES[before]:
+            self.over_at, self.why = now, why
+
+    def look(self, view: VehicleView, now: float) -> None:
+        """Hear the newest view of the aircraft."""
+        is_taken, is_shown = self._of_flight(view) if self.order else self._of_press(view)
+        if is_taken and now - view.heard_at <= OLD_S and is_shown is not None:
+            self.hear(News.TAKEN, now)
+            self.hear(News.SEEN if is_shown else News.UNSEEN, now)
+        else:
+            self.hear(News.SILENCE if is_taken else News.LEFT, now)
+
+    def _of_press(self, view: VehicleView) -> tuple[bool, bool | None]:
+        """Whether its setpoints go out to the aircraft, and what telemetry shows of them."""
+        state, age = view.state, view.state.setpoint_age
+        if self.wanted is None or age is None or state.at - age < self.begun_at - PAGE_GRAIN:
+            return False, None
+        return True, follows(self.wanted, view)
+
+    def _of_flight(self, view: VehicleView) -> tuple[bool, bool | None]:
+        """The same of a flight to where somebody points. Its outcome ends it, and no view does."""
+        if view.is_heard and (guided := view.state.guided) is not None:
+            left_s = math.inf if guided.seconds is None else guided.seconds
+            if left_s < self.left_s - _NEARER_S:
+                self.nearer_at = view.at if self.left_s < math.inf else -math.inf
+                self.left_s = left_s
+        is_nearer = view.at - self.nearer_at <= IGNORED_S  # it comes in steps
+        return self.life is not Life.SENT, is_nearer if view.is_heard else None

@@ -6,6 +6,8 @@ import {number, words} from "./said.js";
 const ALIVE_MS = 500;
 const LOST_MS = 1000;
 const VIEW_MS = 2000;  // the texts of the page come four times a second
+const TOLD_MS = 300;  // what the station said of a press counts for so long after it came
+const OLDEST_MS = 700;  // and for so long after the beat that it is about: nobody steers by a slower way
 
 export class Socket {
   constructor(path, onMessage) {
@@ -71,6 +73,14 @@ export class Socket {
     if (!this.live) return Infinity;
     const late = performance.now() / 1000 - this.live.t - this.best;
     return late + (this.tripMs || 0) / 2000;
+  }
+
+  // What the station says of the press that began then. Until it does it was only sent; where it
+  // does no more, nobody knows.
+  fateSince(beganAt) {
+    const told = this.fate, now = performance.now();
+    if (!told || told.of < beganAt) return now - beganAt > OLDEST_MS ? "old" : "sent";
+    return now - told.at > TOLD_MS || now - told.of > OLDEST_MS ? "old" : told.fate;
   }
 
   // The station's clock, by this page's: what was told fastest stands for no delay.

@@ -9,7 +9,6 @@ import {number, onChoose, speed, words} from "./said.js";
 
 const BEAT_MS = 50;
 const LOOK_MS = 200;  // between two turns of the gimbal; one lasts half a second
-const TOLD_MS = 500;  // what the station said of an earlier beat counts for so long
 const STOOD_STILL_MS = 1000;  // a page that slept so long does not know what is held
 
 const KEYS = {
@@ -237,15 +236,8 @@ export class Steering {
     if (climb) parts.push(words(climb > 0 ? "climb" : "sink", {speed: speed(Math.abs(climb))}));
     const keys = [...this.held].map((code) => code.slice(3)).join(" ");
     const what = `${keys ? `${keys}: ` : ""}${parts.join(" ") || words("at_rest")}`;
-    const fate = this.pad.dataset.fate = this.fate();
+    const fate = this.pad.dataset.fate = this.socket.fateSince(this.beganAt);
     this.say(words(`fate_${fate}`, {what}));
-  }
-
-  // What the station says of this press: until it does, and where it does no more, it was only sent.
-  fate() {
-    const told = this.socket.fate;
-    if (!told || told.of < this.beganAt || performance.now() - told.at > TOLD_MS) return "sent";
-    return told.fate;
   }
 
   say(text) {
