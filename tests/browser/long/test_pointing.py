@@ -127,7 +127,7 @@ async def _confirm_until_there(page: Any, target: tuple[float, float]) -> None:
     while True:
         await hold(page, "guide", 1.6)
         await page.wait_for_function(
-            "document.querySelector('#guided-flying')?.textContent.includes('Flies to the point')"
+            "document.querySelector('#guided-flying')?.textContent.includes('Flight to the point')"
             " || document.querySelector('#problem')?.textContent"
         )
         await page.wait_for_selector("#guided-flying", state="hidden")

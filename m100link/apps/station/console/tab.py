@@ -36,7 +36,7 @@ from m100link.apps.agent.latency import (
 from m100link.apps.agent.messages import OrderOutcome
 from m100link.apps.agent.orders import LIVES, Life, News, setpoint_of
 from m100link.apps.station.config import ONLY_NAME
-from m100link.errors import GuardRefused, M100Error, NotObserved
+from m100link.errors import GuardRefused, M100Error, NotObserved, SetpointsIgnored
 from m100link.errors.texts import read_json
 from m100link.protocol.records import AngularVelocity, Attitude, RcMode, Velocity
 from m100link.protocol.setpoint import Horizontal, Setpoint
@@ -138,8 +138,9 @@ class Tab:
         except M100Error as error:
             mine.hear(News.FAILED, self._agent.now, error)
             is_replaced = replaces and mine is not self._newest
-            # The map says how a flight ended; one that hovers is no problem.
+            # The map says what ended a flight, which hovers then: no problem.
             is_told = mine is self.flight and mine.life is Life.ENDED
+            is_told = is_told and not isinstance(error, SetpointsIgnored)
             if isinstance(error, NotObserved) and (is_replaced or is_told):
                 return False
             self.refusal = error
@@ -164,6 +165,14 @@ class Tab:
             accepted()
 
         return await self.session.ask(order, begun)
+
+    def shown_flight(self) -> IssuedOrder | None:
+        """The newest flight to where the operator points, until its end was shown for long."""
+        flight, now = self.flight, self._agent.now
+        if flight is None or now - flight.over_at > TOLD_S:
+            return None
+        flight.look(self._agent.view, now)
+        return flight
 
     def _issue(self) -> IssuedOrder:
         self._count += 1
@@ -365,7 +374,9 @@ class Tab:
             return Fate.OTHER if view.holder.number else Fate.NO_CONTROL
         if not view.has_authority:
             return Fate.NO_CONTROL if view.switch in (None, RcMode.F) else Fate.PILOT
-        if now - self._refused_at <= BEAT_LIFETIME:
+        state, age = view.state, view.state.setpoint_age
+        is_taken = age is not None and state.at - age > self._refused_at  # a later one
+        if now - self._refused_at <= BEAT_LIFETIME and not is_taken:
             return self._why
         return Fate.ON_GROUND if view.is_on_ground else None
 
@@ -433,7 +444,7 @@ OLD_S = 0.3
 IGNORED_S = 3.0
 """Seconds for which the aircraft may show nothing of what goes out to it: it brakes before."""
 
-TOLD_S = 20.0
+TOLD_S = 10.0
 """Seconds for which the end of a flight is shown."""
 
 _FOLLOWED = 0.3  # part of what is wanted that telemetry has to show

@@ -28,11 +28,13 @@ from m100link.apps.agent.latency import (
     PAGE_GRAIN,
 )
 from m100link.apps.agent.lease import LeaseChange, LeaseHeld
-from m100link.apps.station.console.tab import BEAT_LIFETIME, Fate, Tab, _read
+from m100link.apps.agent.orders import Life
+from m100link.apps.station.console.tab import BEAT_LIFETIME, TOLD_S, Fate, Tab, _read
 from m100link.apps.station.console.view.fly import FIELDS, live, read
 from m100link.apps.station.console.view.texts import Translator, tr
 from m100link.errors import GuardRefused, LossReason, NoAuthority
-from m100link.protocol.records import Attitude, RcMode, Velocity
+from m100link.geodesy import LocalFrame
+from m100link.protocol.records import Attitude, Position, RcMode, Velocity
 from m100link.sim.orders import perform
 from tests.apps.station.conftest import Rig
 from tests.known import seen
@@ -788,7 +790,9 @@ async def test_sent_becomes_flown_once_the_agent_has_taken_it(rig: Rig) -> None:
     for _ in range(2):
         told = await hold(browser, 1.0, x=-4)
         steps = [Fate.SENT, Fate.ACCEPTED, Fate.FLOWN]
-        assert sorted(told, key=steps.index) == told, "each after the one before, and not back"
+        assert sorted(told, key=lambda one: steps.index(Fate(one))) == told, (
+            "each after the one before, and not back"
+        )
         assert set(told) == set(steps)
         browser.say("rest")
         await keep_alive(browser, anyio.sleep(2.0))
@@ -874,6 +878,68 @@ async def test_flown_is_reported_only_while_the_tab_flies(rig: Rig, seed: int) -
             assert rig.agent.holding.has_authority
             assert rig.aircraft.height > 0.3
     assert flown
+
+
+async def lives(browser: Browser, order: orders.Order, meanwhile: Any = None) -> list[Life]:
+    """The lives that the map shows of a flight, until it is over."""
+    tab, shown = browser.tab, list[Life]()
+    flight = tab.attempt(lambda: tab.ask(order))
+    async with anyio.create_task_group() as group:
+        group.start_soon(keep_alive, browser, flight)
+        if meanwhile is not None:
+            group.start_soon(meanwhile)
+        while not shown or shown[-1] not in (Life.REFUSED, Life.DONE, Life.ENDED):
+            await anyio.sleep(0.25)
+            own = tab.shown_flight()
+            if own is not None and (not shown or shown[-1] is not own.life):
+                shown.append(own.life)
+    return shown
+
+
+def north_of(rig: Rig, metres: float) -> orders.FlyTo:
+    place = rig.front.view.get(Position)
+    assert place is not None
+    frame = LocalFrame(place.latitude_deg, place.longitude_deg)
+    return orders.FlyTo(*frame.to_geodetic(metres, 0.0), height=10.0, speed=5.0)
+
+
+async def test_a_flight_to_a_point_is_accepted_flown_and_reached(rig: Rig) -> None:
+    browser = await airborne(rig)
+    number = browser.tab._count
+    assert await lives(browser, north_of(rig, 40.0)) == [Life.ACCEPTED, Life.FLOWN, Life.DONE]
+    assert browser.tab.flight is not None
+    assert browser.tab.flight.number > number
+    await keep_alive(browser, anyio.sleep(TOLD_S + 0.5))
+    assert browser.tab.shown_flight() is None, "its end was shown"
+
+
+async def test_a_flight_that_is_refused_or_ended_says_by_what(rig: Rig) -> None:
+    browser = await airborne(rig)
+    assert await lives(browser, north_of(rig, 4000.0)) == [Life.REFUSED]
+    assert "from the start" in browser.problem
+
+    async def stop() -> None:
+        await anyio.sleep(4.0)
+        await Browser(rig, "another").tab.stop()
+
+    assert (await lives(browser, north_of(rig, 60.0), stop))[-2:] == [Life.FLOWN, Life.ENDED]
+    assert browser.problem == "", "it hovers, and the map says why"
+    own = browser.tab.shown_flight()
+    assert own is not None
+    assert "stop" in str(own.why)
+
+
+async def test_a_flight_of_a_deaf_aircraft_or_without_news_is_not_called_flown(rig: Rig) -> None:
+    browser = await airborne(rig)
+
+    async def deafen() -> None:
+        rig.aircraft.line.stall(to_host=False)
+
+    found = await lives(browser, north_of(rig, 60.0), deafen)
+    assert found == [Life.ACCEPTED, Life.ENDED]
+    own = browser.tab.shown_flight()
+    assert own is not None
+    assert "control was lost" in str(own.why)
 
 
 async def test_a_key_is_on_the_line_after_few_calls(rig: Rig) -> None:

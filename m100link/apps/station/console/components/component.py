@@ -414,9 +414,9 @@ class PageContext:
             )
             self.agent.note(english(said), "warning")
         PRESSED_AT.set(self.agent.asked_at)  # a STOP since then ends the climb, too
-        await self.tab.session.ask(TakeOff())
+        await self.tab.ask(TakeOff())
         if height > TAKE_OFF_HEIGHT:
-            await self.tab.session.ask(ChangeHeight(height))
+            await self.tab.ask(ChangeHeight(height))
 
     def here(self) -> tuple[float, float] | None:
         """Where the aircraft is: latitude and longitude, °; None when nobody knows."""

@@ -137,7 +137,7 @@ class HudPart:
         ui.on("looked", self._looked)
 
     async def _use(self, name: str, use: CameraUse) -> None:
-        await self._page.tab.session.ask(UseCamera(use))
+        await self._page.tab.ask(UseCamera(use))
         self._asked = name, self._page.agent.now
         self._page.agent.note(f"{self._page.tab.session.name}: {use.value.replace('_', ' ')}, sent")
 
@@ -149,7 +149,7 @@ class HudPart:
         await self._point(GimbalAngle(yaw, 0.0, 0.0, GimbalAngleMode.ABSOLUTE | keep, _LOOK_S))
 
     async def _point(self, angle: GimbalAngle) -> None:
-        await self._page.tab.session.ask(PointGimbal(angle))
+        await self._page.tab.ask(PointGimbal(angle))
 
     def _held(self, event: events.GenericEventArguments) -> None:
         self._is_held = event.args == "start"
@@ -168,7 +168,7 @@ class HudPart:
         if all(isinstance(found.get(one), int | float) for one in ("yaw", "pitch")):
             yaw, pitch = (_TURN_DEG_S * max(-1.0, min(1.0, found[one])) for one in ("yaw", "pitch"))
             turn = TurnGimbal(GimbalSpeed(yaw_deg_s=yaw, pitch_deg_s=pitch))
-            self._page.buttons.ask("gimbal", lambda: self._page.tab.session.ask(turn))
+            self._page.buttons.ask("gimbal", lambda: self._page.tab.ask(turn))
 
     def update(self, view: ViewModel) -> None:
         reading, said = view.instruments.readings["gimbal"], self._page.wording
@@ -333,8 +333,8 @@ class StripPart:
         tab, add = page.tab, page.buttons.add
         with ui.element("div").props("id=strip role=group") as strip:
             add("take_off", "actions.take_off", page.take_off)
-            add("land", "actions.land", lambda: tab.session.ask(Land()))
-            add("go_home", "actions.go_home", lambda: tab.session.ask(GoHome()))
+            add("land", "actions.land", lambda: tab.ask(Land()))
+            add("go_home", "actions.go_home", lambda: tab.ask(GoHome()))
             add("pause", "actions.pause", self._pause, kind="plain")
         page.wording.put(component.attribute(strip), "actions.title")
 

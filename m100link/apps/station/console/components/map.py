@@ -285,7 +285,7 @@ class ClickPart:
 
     async def _fly(self) -> None:
         if (order := self._pointed.order) is not None:
-            await self._page.tab.session.ask(order, self._begun)
+            await self._page.tab.ask(order, self._begun)
 
     def _begun(self) -> None:
         """It flies: what is pointed at now would be the next one."""
@@ -307,6 +307,7 @@ class ClickPart:
             foreseen,
             agent.state.guided,
             has_control=has_control,
+            own=self._page.tab.shown_flight(),
         )
         self._preview.set_text(self._said(found.preview))
         self._fly_button.set_visibility(found.may_fly)
@@ -342,7 +343,8 @@ class ClickPart:
 
 
 def _drawing(one: Drawing) -> dict[str, object]:
-    return {"place": one.place, "radius": one.radius, "yaw": one.yaw_deg}
+    drawn = {"place": one.place, "radius": one.radius, "yaw": one.yaw_deg}
+    return drawn | {"life": one.life.value}
 
 
 def _is_number(value: object) -> TypeGuard[float]:

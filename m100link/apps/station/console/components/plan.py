@@ -266,7 +266,7 @@ class PlanPart:
         await self._order(orders.FlyPattern(int(self._number.value)))
 
     async def _order(self, order: orders.Order) -> None:
-        await self._page.tab.session.ask(order)
+        await self._page.tab.ask(order)
 
     # -- what is shown ---------------------------------------------------------------------------
 

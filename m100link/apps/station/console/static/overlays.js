@@ -8,6 +8,7 @@ const emit = (name, value) => window.emitEvent(name, value);
 // -- what was pointed at, and what flies to where somebody pointed ------------------------------
 
 const AHEAD_M = 30;  // of the line that shows a heading
+const LIVES = {sent: "#757575", accepted: "#9e9d24", old: "#757575", refused: "#c62828", ended: "#757575"};
 const ahead = (from, yaw) => towards(from, yaw, AHEAD_M);
 
 let layers = null;
@@ -84,8 +85,16 @@ function redraw(map) {
     const from = map.position?.slice(0, 2);
     const to = place || (from && yaw !== null && yaw !== undefined && ahead(from, yaw));
     show(map, line, from && to && (() => line.setLatLngs([from, to])));
+    if (name === "flown") showLife(layers.flown, drawn.flown?.life);
   }
   if (!dragged) showHandles(map);
+}
+
+// How far the order of this page has come, or that of another one, which flies.
+function showLife({mark, circle, line}, life) {
+  for (const one of [circle, line]) one.setStyle({color: LIVES[life] ?? "#2e7d32"});
+  const image = mark.getElement();
+  if (image) image.dataset.life = life;
 }
 
 function showHandles(map) {

@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from enum import Enum
+from typing import Any
 
 from m100link.apps.agent import orders
 from m100link.apps.agent.client import Hearing
-from m100link.apps.agent.orders import GuidedOrder
+from m100link.apps.agent.orders import GuidedOrder, Life
 from m100link.apps.agent.preview import Preview
+from m100link.apps.station.console.tab import IssuedOrder
 from m100link.apps.station.console.view.situation import Inputs
 from m100link.apps.station.console.view.texts import Quantity, QuantityKind, Text, reason_text, tr
 from m100link.errors import GuardRefused, LinkError, M100Error, TelemetryStalled, UsageError
@@ -163,6 +165,7 @@ class Drawing:
     place: tuple[float, float] | None = None
     radius: float = 0.0  # of the circle, m; 0 for none
     yaw_deg: float | None = None  # heading; None for none
+    life: Life = Life.FLOWN  # how far its order has come
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,6 +185,7 @@ def click_of(
     guided: orders.GuidedFlight | None,
     *,
     has_control: bool,  # whether what this page wants is obeyed
+    own: IssuedOrder | None = None,  # the newest flight that this page asked for
 ) -> ClickView:
     refusals = [] if foreseen is None else [_refusal(error) for error in foreseen.refusals]
     if foreseen is not None and not has_control:
@@ -191,10 +195,28 @@ def click_of(
         preview=None if foreseen is None else _preview(pointed.kind, foreseen),
         refusals=tuple(refusals),
         may_fly=may_fly,
-        flying=None if guided is None else _flying(guided),
+        flying=_said(guided, own),
         pointed=_pointed(pointed),
-        flown=Drawing() if guided is None else _flown(guided),
+        flown=_flown(guided, own),
     )
+
+
+def _is_shown(guided: orders.GuidedFlight | None, own: IssuedOrder | None) -> bool:
+    """Whether the order of this page says more than what flies: before it flies, and at its end."""
+    return own is not None and (own.life is Life.SENT or guided is None)
+
+
+def _said(guided: orders.GuidedFlight | None, own: IssuedOrder | None) -> Text | None:
+    if own is not None and own.order is not None and _is_shown(guided, own):
+        what = tr("click.what." + own.order.label.replace(" ", "_"))
+        why = reason_text(own.why) if isinstance(own.why, M100Error) else ""
+        return tr(f"click.life.{own.life.value}", what=what, why=why)
+    if guided is None:
+        return None
+    flies = _flying(guided)
+    if own is None or own.is_over:
+        return flies
+    return tr(f"click.life.{own.life.value}", what=flies, why="")
 
 
 def _pointed(pointed: Pointed) -> Drawing:
@@ -205,11 +227,14 @@ def _pointed(pointed: Pointed) -> Drawing:
     return Drawing(pointed.place, pointed.radius if pointed.kind is GuidedKind.CIRCLE else 0.0)
 
 
-def _flown(guided: orders.GuidedFlight) -> Drawing:
-    place = None
-    if guided.latitude_deg is not None and guided.longitude_deg is not None:
-        place = guided.latitude_deg, guided.longitude_deg
-    return Drawing(place, guided.radius, guided.yaw_deg)
+def _flown(guided: orders.GuidedFlight | None, own: IssuedOrder | None) -> Drawing:
+    flies: Any = own.order if own is not None and _is_shown(guided, own) else guided
+    if flies is None:
+        return Drawing()
+    latitude, longitude = (getattr(flies, f"{one}_deg", None) for one in ("latitude", "longitude"))
+    place = None if latitude is None or longitude is None else (latitude, longitude)
+    life = Life.FLOWN if own is None or (own.is_over and flies is guided) else own.life
+    return Drawing(place, getattr(flies, "radius", 0.0), getattr(flies, "yaw_deg", None), life)
 
 
 def _preview(kind: GuidedKind, found: Preview) -> Text:

@@ -7,8 +7,16 @@ import math
 import pytest
 
 from m100link.apps.agent.messages import GuardLimits, State
-from m100link.apps.agent.orders import ChangeHeading, ChangeHeight, FlyAround, FlyTo, GuidedFlight
+from m100link.apps.agent.orders import (
+    ChangeHeading,
+    ChangeHeight,
+    FlyAround,
+    FlyTo,
+    GuidedFlight,
+    Life,
+)
 from m100link.apps.agent.preview import Preview
+from m100link.apps.station.console.tab import IssuedOrder
 from m100link.apps.station.console.view.map import (
     Drawing,
     GuidedKind,
@@ -19,7 +27,7 @@ from m100link.apps.station.console.view.map import (
 )
 from m100link.apps.station.console.view.situation import Inputs
 from m100link.apps.station.console.view.texts import Language, Text, Translator
-from m100link.errors import GuardRefused, LinkError, M100Error, UsageError
+from m100link.errors import GuardRefused, LinkError, M100Error, NotObserved, UsageError
 from m100link.geodesy import LocalFrame
 from m100link.missions.plan import WaypointPlan
 from m100link.missions.waypoint import Waypoint
@@ -153,13 +161,13 @@ def test_a_refusal_has_its_reason_and_a_remedy_for_the_pointing_operator(
 @pytest.mark.parametrize(
     ("guided", "told"),
     [
-        (GuidedFlight("flight to a place"), "Flies to the point"),
-        (GuidedFlight("change of heading", seconds=3.0), "Turns: 0:03 min to go"),
+        (GuidedFlight("flight to a place"), "Flight to the point"),
+        (GuidedFlight("change of heading", seconds=3.0), "Turn: 0:03 min to go"),
         (
             GuidedFlight("flight around a place", *HERE, 10.0, 15.0, None, 94.0, 47.0),
-            "Flies around the point: 94 m, 0:47 min to go",
+            "Flight around the point: 94 m, 0:47 min to go",
         ),
-        (GuidedFlight("change of height", distance_m=4.0, seconds=2.0), "Changes height: 4 m,"),
+        (GuidedFlight("change of height", distance_m=4.0, seconds=2.0), "Change of height: 4 m,"),
     ],
 )
 def test_what_flies_is_said_to_everybody(guided: GuidedFlight, told: str) -> None:
@@ -167,6 +175,42 @@ def test_what_flies_is_said_to_everybody(guided: GuidedFlight, told: str) -> Non
     assert said(view.flying).startswith(told)
     if guided.latitude_deg is not None:
         assert view.flown == Drawing(HERE, 15.0)
+
+
+FLIES = GuidedFlight("flight to a place", *HERE, 10.0, 0.0, None, 94.0, 47.0)
+ORDER = FlyTo(*HERE, 10.0)
+
+
+@pytest.mark.parametrize(
+    ("life", "guided", "english", "german"),
+    [
+        (Life.SENT, None, "Flight to the point: asked", "Flug zum Punkt: verlangt"),
+        (Life.ACCEPTED, FLIES, "47 min to go. Accepted, not flown yet", "noch nicht geflogen"),
+        (Life.FLOWN, FLIES, "Flight to the point: 94 m, 0:47 min to go", "noch 94 m, 0:47 min"),
+        (Life.OLD, FLIES, "to go. No news of the aircraft", "ist nichts zu hören"),
+        (Life.DONE, None, "Flight to the point: reached", "Flug zum Punkt: erreicht"),
+        (Life.REFUSED, None, "Flight to the point: refused", "Flug zum Punkt: verweigert"),
+        (Life.ENDED, None, "Flight to the point: ended. stop", "Flug zum Punkt: beendet. "),
+    ],
+)
+def test_the_target_shows_how_far_its_order_has_come(
+    life: Life, guided: GuidedFlight | None, english: str, german: str
+) -> None:
+    own = IssuedOrder(3, 0.0, ORDER, life=life, why=NotObserved("stop"))
+    view = click_of(Pointed(), None, guided, has_control=True, own=own)
+    assert view.flown == Drawing(HERE, life=life)
+    assert said(view.flying).endswith(english)
+    assert german in said(view.flying, Language.GERMAN)
+
+
+def test_a_flight_of_another_page_is_drawn_after_the_end_of_ones_own() -> None:
+    over = IssuedOrder(3, 0.0, FlyTo(1.0, 2.0, 10.0), life=Life.ENDED, why=NotObserved("stop"))
+    view = click_of(Pointed(), None, FLIES, has_control=True, own=over)
+    assert view.flown == Drawing(HERE, life=Life.FLOWN)
+    assert said(view.flying).startswith("Flight to the point: 94 m")
+    asked = IssuedOrder(4, 0.0, FlyTo(1.0, 2.0, 10.0))
+    view = click_of(Pointed(), None, FLIES, has_control=True, own=asked)
+    assert view.flown == Drawing((1.0, 2.0), life=Life.SENT)
 
 
 # -- what stands on the map ------------------------------------------------------------------------
