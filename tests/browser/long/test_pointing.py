@@ -130,12 +130,14 @@ async def _confirm_until_there(page: Any, target: tuple[float, float]) -> None:
             "document.querySelector('#guided-flying')?.textContent.includes('Flight to the point')"
             " || document.querySelector('#problem')?.textContent"
         )
-        await page.wait_for_selector("#guided-flying", state="hidden")
+        await page.wait_for_function(
+            "/reached|ended|refused/.test(document.querySelector('#guided-flying').textContent)"
+            " || document.querySelector('#problem')?.textContent"
+        )
         if distance_m(*await position(page), *target) < 1.0:
             return
-        await page.wait_for_function("document.querySelector('#problem')?.textContent")
-        problem = await page.inner_text("#problem")
-        assert "the aircraft hovers" in problem or any(why in problem for why in NOT_TAKEN)
+        told = await page.inner_text("#problem") + await page.inner_text("#guided-flying")
+        assert "the aircraft hovers" in told or any(why in told for why in NOT_TAKEN)
         if "You have control" not in await page.inner_text("#banner"):
             await press(page, "obtain")
             await shows(page, "#banner", "You have control")

@@ -90,7 +90,7 @@ class Tab:
         # refused; presses count. An order that it replaced did not fail.
         self._newest = self._press
         self.flight: IssuedOrder | None = None  # the newest one to where its operator points
-        self._refused_at, self._why = -math.inf, Fate.REFUSED  # the newest beat that was refused
+        self._refused_until, self._why = -math.inf, Fate.REFUSED  # the newest beat that was refused
         self._complained_at = -math.inf
         self._stopping: asyncio.Task[Any] | None = None  # one at a time, however often it is said
         # Why a hand that holds a key moves nothing until it lets go. Empty when it may.
@@ -144,6 +144,11 @@ class Tab:
             if isinstance(error, NotObserved) and (is_replaced or is_told):
                 return False
             self.refusal = error
+            if mine.order is not None and mine.life is Life.REFUSED:
+                what = f"order {mine.number}, {mine.order.label}"
+                self._agent.note(
+                    f"{self.session.name}: {what}, was refused: {error.seen}", "warning"
+                )
             if mine is self._newest:
                 self._newest = before  # it was refused: what flew before goes on
             return False
@@ -256,7 +261,7 @@ class Tab:
             answer["fate"], answer["order"] = self._fate(now), self._press.number
         elif session.has_lease:
             if message["op"] == "rest":
-                self._press = self._issue()
+                self._press, self._refused_until = self._issue(), -math.inf
                 self._let_go(message)
             session.heard()
         return answer | {"told": now}
@@ -340,16 +345,17 @@ class Tab:
             self.beats += 1
         except M100Error as error:
             self.session.heard()  # the operator is there
-            self._refused(error)
+            self._refused(error, lasting=0.0)
 
-    def _refused(self, error: M100Error) -> None:
+    def _refused(self, error: M100Error, lasting: float = BEAT_LIFETIME) -> None:
+        """A beat was refused: by the agent, which answers later beats later, or at once here."""
         self.refused += 1
         self.refusal = error
         if isinstance(error, GuardRefused) and error.guard == "stopped":
             self._has_to_let_go = error.seen.partition(";")[0]  # STOP, or somebody else's hover
         guard = error.guard if isinstance(error, GuardRefused) else ""
         now = self._agent.now
-        self._why, self._refused_at = _GUARDS.get(guard, Fate.REFUSED), now
+        self._why, self._refused_until = _GUARDS.get(guard, Fate.REFUSED), now + lasting
         if now - self._complained_at >= _COMPLAINT_PAUSE:
             self._complained_at = now
             self._agent.note(f"{self.session.name}: {error.seen}", "warning")
@@ -374,11 +380,9 @@ class Tab:
             return Fate.OTHER if view.holder.number else Fate.NO_CONTROL
         if not view.has_authority:
             return Fate.NO_CONTROL if view.switch in (None, RcMode.F) else Fate.PILOT
-        state, age = view.state, view.state.setpoint_age
-        is_taken = age is not None and state.at - age > self._refused_at  # a later one
-        if now - self._refused_at <= BEAT_LIFETIME and not is_taken:
-            return self._why
-        return Fate.ON_GROUND if view.is_on_ground else None
+        if view.is_on_ground:
+            return Fate.ON_GROUND
+        return self._why if now <= self._refused_until else None
 
     def _control_changed(self, state: ControlState) -> None:
         if why := _HAS_TO_LET_GO.get(state):

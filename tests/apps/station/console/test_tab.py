@@ -917,6 +917,10 @@ async def test_a_flight_that_is_refused_or_ended_says_by_what(rig: Rig) -> None:
     browser = await airborne(rig)
     assert await lives(browser, north_of(rig, 4000.0)) == [Life.REFUSED]
     assert "from the start" in browser.problem
+    refused = browser.tab.shown_flight()
+    assert refused is not None
+    text = f"tab: order {refused.number}, flight to a place, was refused: "
+    assert any(text in event.text for event in rig.front.events)
 
     async def stop() -> None:
         await anyio.sleep(4.0)
