@@ -158,7 +158,7 @@ class Tab:
         return True
 
     async def ask(self, order: orders.Order, accepted: Callable[[], None] = ignore) -> OrderOutcome:
-        """Ask as the session does. In :meth:`attempt` this is the order whose life is told."""
+        """Ask as the session does. In :meth:`attempt`, this is the order whose life is shown."""
         mine = _ISSUED.get(None)
         if mine is not None:
             mine.order = order
@@ -361,7 +361,7 @@ class Tab:
             self._agent.note(f"{self.session.name}: {error.seen}", "warning")
 
     def _fate(self, now: float) -> Fate:
-        """What the page shows of the keys and sticks that are held."""
+        """The display of the page for the keys and sticks that are held."""
         view, press = self._agent.view, self._press
         why = self._obstacle(view, now)
         if why is not None:

@@ -201,7 +201,9 @@ class World:
         is_onboard = aircraft.vehicle.authority.device is Device.ONBOARD
         is_ours = newest is not None and newest.roll_or_x != 0.0
         lease, flying = self.tab.session.lease, agent.holding.flying
-        extra = sum(hop.delay_s - hop.usual_s for hop in self.hops.values())
+        extra = min(MAX_ROUND_TRIP, sum(one.delay_s - one.usual_s for one in self.hops.values()))
+        if aircraft.line.to_aircraft.is_stalled:  # it flies on by what it has: nobody can know
+            extra += MOVEMENT_TIMEOUT_S
         so = So(
             now,
             pad=self.pad if self.is_holding else "",
@@ -211,7 +213,7 @@ class World:
             goes_out=flying is not None and flying.is_steered,
             is_driven=is_onboard and is_ours and now - self.moved_at <= MOVEMENT_TIMEOUT_S,
             moves=motion.velocity_north >= FOLLOWED * SPEED_M_S - NOISE_M_S,
-            allowed_s=PATIENCE_S + self.usual_s + BEAT_S + LOOK_S + min(extra, MAX_ROUND_TRIP),
+            allowed_s=PATIENCE_S + self.usual_s + BEAT_S + LOOK_S + extra,
         )
         self.shown[so.pad] += 1
         self._judge(so)
@@ -286,7 +288,7 @@ async def meanwhile(world: World) -> None:
     await anyio.sleep(world.chance.uniform(0.05, 1.0))
     if world.chance.random() < 0.6:
         world.rig.aircraft.leave_f()
-    await anyio.sleep(world.chance.uniform(0.2, 1.5))
+    await anyio.sleep(world.chance.uniform(0.2, 3.0))
     world.rig.aircraft.return_to_f()
 
 
