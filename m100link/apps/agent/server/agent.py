@@ -114,7 +114,7 @@ class Agent:
         # Why no stream of setpoints flies on, and no order that moves: their sender has to begin
         # anew. Empty: it may. And when it last wanted any of them.
         self._begin_anew, self._wanted_at = "", -math.inf
-        self.steered_at = -math.inf  #: when the newest setpoint of a front that flies was decided, s
+        self.steered_at = -math.inf  #: when the newest setpoint of a front was decided, s
         self._stopped_at = -math.inf  # when STOP came last, s
         # The same, or when a client without the lease ordered a hover, and which of both.
         self._overtaken = -math.inf, _STOPPED

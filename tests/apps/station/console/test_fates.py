@@ -48,7 +48,7 @@ FOLLOWED = 0.3
 """Part of what is held that the aircraft has to fly before anything is called flown."""
 
 ELSEWHERE = (Fate.NO_CONTROL, Fate.OTHER, Fate.PILOT)
-OTHERS = (Cause.SWITCH, Cause.OTHER, Cause.RC, Cause.TAKEN, Cause.NO_AUTHORITY, Cause.FREE_RC)
+OTHERS = (Cause.SWITCH, Cause.OTHER, Cause.RC, Cause.FREE_RC)
 NOT_FLOWN = frozenset(Fate) - {Fate.SENT, Fate.ACCEPTED, Fate.FLOWN, Fate.OLD, Fate.IGNORED}
 
 
@@ -71,6 +71,7 @@ class Hop:
 
     def clear(self) -> None:
         self.delay_s, self.is_stalled, self.drops = self.usual_s, False, False
+        self._waiting = deque((0.0, one) for _, one in self._waiting)
 
 
 class World:
