@@ -136,10 +136,10 @@ async def test_a_stop_between_take_off_and_climb_ends_the_climb(
     session = browser.tab.session
     ask = session.ask
 
-    async def stop_first(order: Order) -> Any:
+    async def stop_first(order: Order, accepted: Any) -> Any:
         if isinstance(order, ChangeHeight):
             await browser.tab.stop()
-        return await ask(order)
+        return await ask(order, accepted)
 
     monkeypatch.setattr(session, "ask", stop_first)
     work = rig.front.background.spawn(page.take_off(), "take-off")

@@ -75,6 +75,7 @@ class Here:
         self.tab = SimpleNamespace(
             session=session, aircraft="m100", person="p", refusal=None,
             attempt=self._attempt, check_order=self._note("check_order"),
+            ask=session.ask, shown_flight=lambda: None,
             stop=self._async("stop"), has_ended=lambda *_: False,
         )  # fmt: skip
         self.agent = SimpleNamespace(
@@ -652,7 +653,7 @@ async def test_a_flight_that_begins_closes_the_card(here: Here) -> None:
         begun()
         opened.append(part.is_open)
 
-    here.tab.session.ask = ask
+    here.tab.ask = ask
     await part._fly()
     assert opened == [True, False]
     assert part._pointed.order is None
