@@ -132,6 +132,7 @@ def _problems_of_choices(plan: PlanValues) -> Iterator[BadPlan]:
                 remedy=f"one of {names}",
             )
     yield from _not_bool(plan.gimbal_by_waypoint, "gimbal_by_waypoint")
+    yield from _not_bool(plan.take_off, "take_off")
     yield from _outside(plan.repeat, _REPEAT, "repeat", whole=True)
 
 

@@ -28,7 +28,7 @@ from m100link.missions.waypoint import (
 FORMAT = "m100link waypoint plan"
 VERSION = 1
 
-_FIELDS = ("speed", "max_speed", *CHOICES, "gimbal_by_waypoint", "repeat")
+_FIELDS = ("speed", "max_speed", *CHOICES, "gimbal_by_waypoint", "repeat", "take_off")
 _POINT_FIELDS = tuple(field.name for field in fields(Waypoint) if field.name != "_")
 _NEEDED = ("latitude_deg", "longitude_deg", "height")
 

@@ -96,6 +96,8 @@ class WaypointPlan(PlanValues):
         on_rc_loss: Action when the RC is lost. Nothing but the name flies on.
         gimbal_by_waypoint: Whether the camera's pitch changes from waypoint to waypoint.
         repeat: How many times the way is flown, 1 or 2.
+        take_off: Whether its start on the ground takes off first. It is no part of the commands
+            that upload a plan: one that was downloaded has False.
 
     Raises:
         BadPlan: The aircraft would refuse it; the first problem, with ``others``.
@@ -206,8 +208,8 @@ class WaypointPlan(PlanValues):
     ) -> Self:
         """Read a ``.plan`` of QGroundControl: waypoints, photographs, videos, gimbal, surveys.
 
-        A take-off becomes the first waypoint (the mission takes off by itself), return and landing
-        become ``at_end``. It stops at every waypoint. A file of :meth:`to_qgroundcontrol` that
+        A take-off becomes ``take_off`` and the first waypoint, return and landing become
+        ``at_end``. It stops at every waypoint. A file of :meth:`to_qgroundcontrol` that
         nobody changed is read exactly.
 
         Args:

@@ -6,7 +6,7 @@ items that its caller names.
 
 | Item | Becomes |
 |---|---|
-| 22 take-off | the first waypoint, unless the next one is there already |
+| 22 take-off | ``take_off``, and the first waypoint, unless the next one is there already |
 | 16 waypoint | a waypoint; its hold time a :class:`~m100link.Stay`, its yaw the heading |
 | 93, 112 delay | :class:`~m100link.Stay` |
 | 115 yaw, absolute | :class:`~m100link.TurnTo` |
@@ -292,7 +292,10 @@ class _Builder:
             if speed is None or not speed > 0:
                 found = self.mission["hoverSpeed"]
                 raise bad("mission.hoverSpeed", f"hoverSpeed is {found!r}", found, "above 0 m/s")
-        values: dict[str, Any] = {"at_end": self.at_end or AtEnd.HOVER}
+        values: dict[str, Any] = {
+            "at_end": self.at_end or AtEnd.HOVER,
+            "take_off": self.begins_with_take_off,
+        }
         if speed is not None:
             values |= {"speed": speed, "max_speed": max(10.0, speed)}
         return values | self._headed()
@@ -627,6 +630,8 @@ def _item(command: int, *parameters: float | None, frame: int = _NO_PLACE) -> di
 def _exported_items(plan: PlanValues) -> Iterator[dict[str, Any]]:
     if plan.speed > 0:
         yield _item(178, 1, plan.speed, -1)
+    if plan.take_off:
+        yield _placed(22, plan.waypoints[0], None, plan.waypoints[0].height)
     for point in plan.waypoints:
         is_headed = plan.heading is Heading.BY_WAYPOINT
         yield _placed(16, point, point.heading_deg if is_headed else None, point.height)

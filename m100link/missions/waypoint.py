@@ -342,3 +342,4 @@ class PlanValues:
     on_rc_loss: OnRCLoss = OnRCLoss.FAILSAFE
     gimbal_by_waypoint: bool = False
     repeat: int = 1
+    take_off: bool = False

@@ -75,5 +75,6 @@ def plans(draw: st.DrawFn) -> WaypointPlan:
         "on_rc_loss": draw(st.sampled_from(OnRCLoss)),
         "gimbal_by_waypoint": draw(st.booleans()),
         "repeat": draw(st.integers(1, 2)),
+        "take_off": draw(st.booleans()),
     }
     return WaypointPlan(draw(waypoints(trace)), trace=trace, **values)

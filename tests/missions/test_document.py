@@ -54,6 +54,7 @@ TEXT = """\
   "on_rc_loss": "failsafe",
   "gimbal_by_waypoint": false,
   "repeat": 1,
+  "take_off": false,
   "waypoints": [
     {"latitude_deg": 52.1, "longitude_deg": 4.31, "height": 20.0},
     {"latitude_deg": 52.1003, "longitude_deg": 4.31, "height": 25.5, "heading_deg": 90, \
@@ -137,6 +138,7 @@ def test_what_may_be_left_out_has_its_default() -> None:
         (changed(speed=[1]), "speed", "not a finite number"),
         (changed(repeat=1.5), "repeat", "not a whole number"),
         (changed(gimbal_by_waypoint=1), "gimbal_by_waypoint", "gimbal_by_waypoint is 1"),
+        (changed(take_off="no"), "take_off", "take_off is 'no'"),
     ],
 )
 def test_what_is_not_understood_is_refused_by_its_name(

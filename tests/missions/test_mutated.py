@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from random import Random
 from typing import Any
 
@@ -110,7 +111,7 @@ def test_only_plans_and_their_errors_come_out(seed: int) -> None:
         flown += 1
         mission, points = plan.to_wire()
         assert [command.value(profile) for command in (mission, *points)]
-        assert WaypointPlan.from_wire(mission, points) == plan
+        assert WaypointPlan.from_wire(mission, points) == replace(plan, take_off=False)
         assert WaypointPlan.parse(plan.to_json()) == plan
         assert WaypointPlan.parse(plan.to_qgroundcontrol()) == plan
         assert str(plan.estimate(home=(52.0, 4.0)))

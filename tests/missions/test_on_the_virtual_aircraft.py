@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -49,7 +50,7 @@ def test_every_plan_is_taken_and_given_back(plan: WaypointPlan) -> None:
     answer = program.ask(WaypointDownloadMission())
     kept = [program.ask(WaypointDownloadPoint(index)).point for index in range(len(points))]
     assert (answer.mission, tuple(kept)) == (mission, points)
-    assert WaypointPlan.from_wire(answer.mission, kept) == plan
+    assert WaypointPlan.from_wire(answer.mission, kept) == replace(plan, take_off=False)
 
 
 FRAME = LocalFrame(52.1, 4.31)

@@ -48,6 +48,7 @@ def test_a_mission_as_it_is_usually_drawn() -> None:
     plan = read(TAKE_OFF, waypoint(50), item(2000, 0, 0, 1), waypoint(100, hold=5), RETURN)
     assert [round(point.height, 1) for point in plan.waypoints] == [30, 30, 30]
     assert plan.waypoints[0].latitude_deg == HOME[0]
+    assert (plan.take_off, read(*NORTH).take_off) == (True, False)
     assert actions(plan) == [[], [TakePhoto()], [Stay(5)]]
     assert (plan.at_end, plan.heading, plan.speed) == (AtEnd.GO_HOME, Heading.ALONG_PATH, 5.0)
     assert plan.trace is Trace.STOP_AT_POINTS
@@ -293,6 +294,7 @@ def test_the_items_alone_are_the_nearest_that_mavlink_has(plan: WaypointPlan) ->
     document = json.loads(plan.to_qgroundcontrol())
     del document["m100link"]
     read = WaypointPlan.from_qgroundcontrol(json.dumps(document))
+    assert read.take_off is plan.take_off
     by_waypoint = plan.heading is Heading.BY_WAYPOINT
     assert read.heading is (Heading.BY_WAYPOINT if by_waypoint else Heading.ALONG_PATH)
     assert read.at_end is (

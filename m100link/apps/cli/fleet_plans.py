@@ -69,13 +69,13 @@ def fly(
 
     Args:
         plan: A file, JSON or .plan; - is standard input.
-        take_off: Take off first, from the ground.
+        take_off: Take off first, from the ground, as a plan with a take-off does.
         take_over: Take control from its holder, in one step.
     """
     found = read_plan(plan, file)
     show = _Show(name, found, as_json=options.json_output)
     if not yes:
-        _confirm(name, found, take_off=take_off)
+        _confirm(name, found, take_off=take_off or found.take_off)
 
     async def run() -> int:
         loop, here = asyncio.get_running_loop(), asyncio.current_task()
@@ -230,12 +230,12 @@ async def start(
 
     Args:
         plan: The file that was uploaded: another plan on board does not fly.
-        take_off: Take off first, from the ground.
+        take_off: Take off first, from the ground, as a plan with a take-off does.
     """
     found = read_plan(plan, file)
 
     async def do(orders: MissionOrders, _: FleetAircraft) -> str:
-        await orders.start(UploadPlan.of(found).digest, take_off=take_off)
+        await orders.start(UploadPlan.of(found).digest, take_off=take_off or found.take_off)
         return f"the mission of {len(found.waypoints)} waypoints flies"
 
     return await _ordering(name, options, _START, do)

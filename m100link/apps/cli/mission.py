@@ -76,11 +76,12 @@ def fly(
     mission when this program is killed. `m100link mission stop` ends a mission left in flight.
 
     Args:
-        take_off: Take off first, from the ground.
+        take_off: Take off first, from the ground, as a plan with a take-off does.
         allow_far: Allow a first waypoint more than 500 m from the aircraft.
     """
     # First, as it tells of arguments that are exchanged; and while Ctrl-C ends a wait for a pipe.
     found = read_plan(plan, file)
+    take_off = take_off or found.take_off
     place = options.place(url)
     check_envelope(limits.envelope, found)  # before the aircraft is asked anything
     credentials = place.credentials()

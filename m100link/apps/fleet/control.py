@@ -224,12 +224,13 @@ class FleetControl:
 
         Args:
             plan: The plan.
-            take_off: Take off first, from the ground.
+            take_off: Take off first, from the ground, as a plan with ``take_off`` does.
 
         Raises (when it is entered):
             M100Error: As :meth:`m100link.Control.waypoint_mission`, and :class:`FleetError`.
         """
-        return FleetMission(self._asker, self.missions, plan, take_off=take_off)
+        takes_off = take_off or plan.take_off
+        return FleetMission(self._asker, self.missions, plan, take_off=takes_off)
 
     async def pause_mission(self) -> None:
         """Pause the mission in flight. Raises: see :meth:`take_off`."""

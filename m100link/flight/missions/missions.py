@@ -58,7 +58,8 @@ class Missions:
         Args:
             plan: The waypoints.
             take_off: Take off first when the aircraft stands on the ground, once the plan is
-                uploaded. Without it a mission on the ground is refused.
+                uploaded, as a plan with ``take_off`` does. Without either a mission on the ground
+                is refused.
             allow_far: Let the first waypoint be more than 500 m away.
             progress: Called for each waypoint that the aircraft has taken.
 
@@ -82,7 +83,7 @@ class Missions:
             self._context,
             self._guard,
             plan,
-            take_off=self._take_off if take_off else None,
+            take_off=self._take_off if take_off or plan.take_off else None,
             allow_far=allow_far,
             progress=progress,
         )
