@@ -1,4 +1,4 @@
-"""A survey as a plan: parallel lines over an area, close enough for its photographs to overlap."""
+"""Patterns as plans: a survey, whose photographs overlap, and an orbit that looks at its centre."""
 
 from __future__ import annotations
 
@@ -6,15 +6,17 @@ import math
 from collections.abc import Sequence
 
 from m100link.errors import UsageError
-from m100link.geodesy import LocalFrame
+from m100link.geodesy import LocalFrame, normalize_degrees
 from m100link.missions.checks import FASTEST_M_S, NEAREST_M
 from m100link.missions.patterns import survey as lines_over
 from m100link.missions.plan import WaypointPlan
-from m100link.missions.waypoint import AtEnd, GimbalPitch, TakePhoto, Waypoint
+from m100link.missions.waypoint import AtEnd, GimbalPitch, Heading, TakePhoto, Trace, Waypoint
 
 _MOST_POINTS = 10_000  # more are a mistake in the units
 
 _DOWN = -90.0
+
+_AROUND = 24  # waypoints of an orbit without photographs: within 1 % of the circle
 
 Place = tuple[float, float]  # latitude and longitude, °
 
@@ -82,11 +84,7 @@ def survey(
     """
     if len(area) < 3:
         raise UsageError(f"{len(area)} corners make no polygon", remedy="3 or more")
-    if photo_every is not None and not photo_every >= NEAREST_M:
-        raise UsageError(
-            f"photographs cannot be {photo_every:g} m apart",
-            remedy=f"{NEAREST_M:g} m or more: each is a waypoint",
-        )
+    photo_every = _checked_distance(photo_every)
     try:
         frame = LocalFrame(*area[0])
         for corner in area:
@@ -107,9 +105,93 @@ def survey(
             for index, place in enumerate(_apart(way))
         ],
         speed=speed,
-        max_speed=min(max(speed, 10.0), FASTEST_M_S),
+        max_speed=_fastest(speed),
         at_end=at_end,
     )
+
+
+def orbit(
+    centre: Place,
+    *,
+    radius: float,
+    height: float,
+    photo_every: float | None = None,
+    speed: float = 5.0,
+    start: Place | None = None,
+    at_end: AtEnd = AtEnd.HOVER,
+) -> WaypointPlan:
+    """Once around a place, clockwise; nose and camera point to its ground.
+
+    >>> from m100link.missions.survey import orbit
+    >>> plan = orbit((52.1, 4.31), radius=40, height=30)
+    >>> len(plan.waypoints), round(plan.length_m)
+    (25, 251)
+
+    Args:
+        centre: Latitude and longitude, °.
+        radius: 5 to 500 m.
+        height: Of all waypoints above the take-off point, m. The camera looks so far down, as if
+            the ground of the centre were as high as that point.
+        photo_every: Metres between photographs along the circle at most; the aircraft stops at
+            each. None takes none, and the aircraft rounds the waypoints.
+        speed: Along the way, m/s.
+        start: Where the aircraft comes from: the orbit begins at its point nearest to that.
+        at_end: Action after the last waypoint, which is the first one.
+
+    Raises:
+        UsageError: A value out of range.
+        BadPlan: The aircraft would refuse it: more than 99 waypoints.
+    """
+    if not 5.0 <= radius <= 500.0:
+        raise UsageError(f"an orbit of {radius:g} m cannot be flown", remedy="5 to 500 m")
+    photo_every = _checked_distance(photo_every)
+    try:
+        frame = LocalFrame(*centre)
+        north, east = (1.0, 0.0) if start is None else frame.to_local(*start)
+    except ValueError as error:
+        raise UsageError(f"the centre is not a place: {error}") from None
+    # Corners of a regular polygon, further apart than neighbours have to be.
+    most = math.floor(math.pi / math.asin(0.51 * NEAREST_M / radius))
+    wanted = _AROUND if photo_every is None else max(3, math.ceil(math.tau * radius / photo_every))
+    count = min(wanted, most)
+    step, first = 360.0 / count, math.degrees(math.atan2(east, north))
+    damping = 0.0 if photo_every is not None else 0.4 * math.tau * radius / count
+    pitch = -math.degrees(math.atan2(max(height, 0.0), radius))
+    points = []
+    for angle in (math.radians(first + index * step) for index in range(count + 1)):
+        place = frame.to_geodetic(radius * math.cos(angle), radius * math.sin(angle))
+        points.append(
+            Waypoint(
+                *place,
+                height=height,
+                heading_deg=normalize_degrees(round(math.degrees(angle) + 180.0)),
+                gimbal_pitch_deg=pitch,
+                damping=damping,
+                actions=() if photo_every is None else (TakePhoto(),),
+            )
+        )
+    return WaypointPlan(
+        points,
+        speed=speed,
+        max_speed=_fastest(speed),
+        heading=Heading.BY_WAYPOINT,
+        trace=Trace.COORDINATED_TURNS if photo_every is None else Trace.STOP_AT_POINTS,
+        at_end=at_end,
+        gimbal_by_waypoint=True,
+    )
+
+
+def _checked_distance(photo_every: float | None) -> float | None:
+    if photo_every is not None and not photo_every >= NEAREST_M:
+        raise UsageError(
+            f"photographs cannot be {photo_every:g} m apart",
+            remedy=f"{NEAREST_M:g} m or more: each is a waypoint",
+        )
+    return photo_every
+
+
+def _fastest(speed: float) -> float:
+    return min(max(speed, 10.0), FASTEST_M_S)
 
 
 def _with_photographs(ends: Sequence[Place], every: float) -> list[Place]:

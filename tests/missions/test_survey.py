@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from m100link import AtEnd, BadPlan, GimbalPitch, TakePhoto, UsageError
+from m100link import AtEnd, BadPlan, GimbalPitch, Heading, TakePhoto, Trace, UsageError
 from m100link.geodesy import LocalFrame
-from m100link.missions.survey import line_spacing, survey
+from m100link.missions.survey import line_spacing, orbit, survey
 
 FRAME = LocalFrame(52.1, 4.31)
 FIELD = [(0.0, 0.0), (60.0, 0.0), (60.0, 40.0), (0.0, 40.0)]
@@ -140,3 +140,61 @@ def test_what_the_aircraft_would_refuse_is_reported_as_of_every_plan() -> None:
         survey(area(), height=900, spacing=10)
     with pytest.raises(BadPlan, match="speed"):
         survey(area(), height=30, spacing=10, speed=20)
+
+
+def around(**options: Any) -> Any:
+    wanted: dict[str, Any] = {"radius": 40.0, "height": 40.0} | options
+    plan = orbit(FRAME.to_geodetic(100.0, 50.0), **wanted)
+    places = [FRAME.to_local(one.latitude_deg, one.longitude_deg) for one in plan.waypoints]
+    return plan, [(north - 100.0, east - 50.0) for north, east in places]
+
+
+def test_an_orbit_goes_around_clockwise_and_looks_at_the_ground_of_its_centre() -> None:
+    plan, way = around(start=FRAME.to_geodetic(500.0, 50.0))
+    assert len(way) == 25
+    assert way[0] == pytest.approx((40.0, 0.0), abs=0.01)  # it came from the north
+    assert way[6] == pytest.approx((0.0, 40.0), abs=0.01)  # a quarter later it is in the east
+    assert way[-1] == pytest.approx(way[0], abs=0.01)
+    assert {round(math.hypot(*place), 2) for place in way} == {40.0}
+    looks = [one.heading_deg for one in plan.waypoints[::6]]
+    assert looks == [180, -90, 0, 90, 180]
+    assert {one.gimbal_pitch_deg for one in plan.waypoints} == {-45}
+    assert (plan.heading, plan.gimbal_by_waypoint) == (Heading.BY_WAYPOINT, True)
+    assert plan.trace is Trace.COORDINATED_TURNS
+    assert not any(one.actions for one in plan.waypoints)
+
+
+def test_an_orbit_with_photographs_stops_for_each() -> None:
+    plan, way = around(photo_every=12.0, at_end=AtEnd.LAND, speed=12.0)
+    assert len(way) == 21 + 1  # of 251.3 m
+    assert {one.actions for one in plan.waypoints} == {(TakePhoto(),)}
+    assert (plan.trace, plan.at_end) == (Trace.STOP_AT_POINTS, AtEnd.LAND)
+    assert (plan.speed, plan.max_speed) == (12.0, 12.0)
+
+
+@pytest.mark.parametrize("radius", [5.0, 7.5, 8.0, 30.0, 500.0])
+@pytest.mark.parametrize("photo_every", [None, 2.0, 60.0])
+def test_an_orbit_is_a_plan_or_is_refused_for_its_count(
+    radius: float, photo_every: float | None
+) -> None:
+    try:
+        plan, way = around(radius=radius, photo_every=photo_every)
+    except BadPlan as refused:
+        if (photo_every, refused.field) == (2.0, "waypoints"):
+            return
+        raise
+    apart = [math.dist(here, there) for here, there in pairwise(way)]
+    assert min(apart) >= 2.0
+    assert plan.waypoints[0].height == 40.0
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"radius": 4.9}, {"radius": math.nan}, {"radius": 501.0}, {"photo_every": 1.9}],
+    ids=str,
+)
+def test_an_orbit_that_cannot_be_flown_is_refused(wrong: dict[str, Any]) -> None:
+    with pytest.raises(UsageError):
+        around(**wrong)
+    with pytest.raises(UsageError, match="place"):
+        orbit((math.nan, 4.0), radius=30.0, height=30.0)

@@ -22,7 +22,7 @@ from m100link.flight.control import Control
 from m100link.flight.guards import Guards
 from m100link.flight.guidance import GuidanceProgress
 from m100link.flight.missions.mission_guard import MissionFlight
-from m100link.flight.tasks import is_on_ground
+from m100link.flight.tasks import is_on_ground, task_name
 from m100link.missions.plan import WaypointPlan
 from m100link.protocol.commands.control import Task
 from m100link.protocol.commands.hotpoint import HotpointStart
@@ -83,6 +83,12 @@ class ActiveFlight:
         if last is None or self._pattern is not None or self.guiding.order is not None:
             return False
         return self._control.setpoint is last
+
+    @property
+    def seen_task(self) -> str | None:
+        """The task that the autopilot flies, also before and behind a mission."""
+        flown = self.mission.task
+        return self.task if flown is None else task_name(flown)
 
     @property
     def flown(self) -> Flown:

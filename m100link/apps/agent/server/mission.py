@@ -18,6 +18,7 @@ from m100link.flight.missions.hotpoint import CircleHeading, CircleStart, Hotpoi
 from m100link.flight.missions.mission_guard import MissionFlight
 from m100link.flight.missions.waypoint import WaypointFlight
 from m100link.missions.plan import AtEnd, WaypointPlan
+from m100link.protocol.commands.control import Task
 from m100link.protocol.commands.hotpoint import HotpointStart
 
 F = TypeVar("F", bound=MissionFlight)
@@ -27,6 +28,8 @@ _NAMES: dict[object, str] = {
     WaypointFlight: "waypoint mission",
     HotpointFlight: "hotpoint",
 }
+
+_WAYS_DOWN = {AtEnd.GO_HOME: Task.GO_HOME, AtEnd.LAND: Task.LAND}
 
 _STOP_AGAIN_S = 0.5  # between a stop that got no answer and the next one
 
@@ -49,7 +52,7 @@ class ActiveMission:
         self._what = ""  # the name of the newest one, for people
         self._is_cut_off = False  # by a caller that knows why, and reports it
         self._ended_because = ""  # why this agent ended it, for those who wait for its end
-        self._ends_by_landing = False  # as the plan says
+        self._way_down: Task | None = None  # behind its last waypoint, as the plan says
         self._is_landing = False
         self._is_left = False  # control ends, and its stop path stops what flies
         self.on_event: MissionListener | None = None
@@ -63,6 +66,13 @@ class ActiveMission:
     def is_landing(self) -> bool:
         """Whether it was flown, and the aircraft goes home or lands, as planned."""
         return self.is_flying and self._is_landing
+
+    @property
+    def task(self) -> Task | None:
+        """The task that the autopilot flies for it: before its start, and behind its end."""
+        if self.is_landing:
+            return self._way_down
+        return self._control.unended_task if self.watch is not None and not self._flight else None
 
     def require_none(self, what: str) -> None:
         """Refuse what the aircraft would ignore. Raises MissionRunning: a mission flies."""
@@ -79,7 +89,7 @@ class ActiveMission:
         Returns its end: done when all of it was flown, or with the error that ended it before.
         """
         flight = self._control.waypoint_mission(plan, take_off=take_off)
-        self._ends_by_landing = plan.at_end in (AtEnd.GO_HOME, AtEnd.LAND)
+        self._way_down = _WAYS_DOWN.get(plan.at_end)
         return await self._begin(flight, f"mission of {len(plan.waypoints)} waypoints")
 
     async def circle(self, request: HotpointStart) -> None:
@@ -97,7 +107,7 @@ class ActiveMission:
             start=CircleStart(request.start_point),
             heading=CircleHeading(request.yaw_mode),
         )
-        self._ends_by_landing = False
+        self._way_down = None
         await self._begin(flight, f"circle of {request.radius:g} m")
 
     async def _begin(self, flight: MissionFlight, what: str) -> asyncio.Future[None]:
@@ -197,7 +207,7 @@ class ActiveMission:
         elif isinstance(event, events.Aborted):
             self._journal.note(f"the aircraft broke the mission off: {event.reason}", "warning")
         elif isinstance(event, events.Finished):
-            self._is_landing = self._ends_by_landing
+            self._is_landing = self._way_down is not None
         elif isinstance(event, events.Stopped):
             self._ended_because = self._ended_because or "its client stopped it"
         if self.on_event is not None and not isinstance(event, events.MissionProgress):

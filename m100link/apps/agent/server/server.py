@@ -150,7 +150,7 @@ class AgentServer:
             agent.activation.error,
             holding.state,
             holding.has_authority,
-            flying and (flying.task, flying.pattern, flying.guiding.order),
+            flying and (flying.seen_task, flying.pattern, flying.guiding.order),
             flying is not None and flying.is_steered,
             aircraft and aircraft.mission,
             agent.replay and self._replay_changed(agent.replay.progress()),

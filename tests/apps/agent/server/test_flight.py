@@ -21,6 +21,7 @@ from m100link.errors import (
     BadSetpoint,
     GuardRefused,
     M100Error,
+    MissionRefused,
     MissionRunning,
     NoAuthority,
     NotObserved,
@@ -317,6 +318,92 @@ async def test_stop_ends_the_way_to_the_ground_behind_a_mission(
     assert rig.aircraft.height == pytest.approx(height, abs=0.3)
     assert height > 2.0
     assert speed(rig) < 0.1
+
+
+# What has to be so in each part of a flight that takes off, flies and lands; what the state tells.
+PARTS: dict[str, tuple[Callable[[Rig], bool], str | None]] = {
+    "upload": (lambda rig: rig.holding.require().mission.is_flying, None),
+    "motors": (lambda rig: bool(rig.holding.require().seen_task), "take off"),
+    "climb": (lambda rig: rig.aircraft.height > 0.4, "take off"),
+    "start": (lambda rig: rig.aircraft.height > 0.9 and not rig.holding.require().seen_task, None),
+    "way": (lambda rig: speed(rig) > 3.0, None),
+    "home": (lambda rig: rig.holding.require().mission.is_landing, "go home"),
+    "land": (lambda rig: rig.holding.require().mission.is_landing, "land"),
+}
+GOES_ON = {
+    (how, part): to
+    for how in ("hover", "mission stop", "lease")
+    # A take-off of the autopilot ends at 1.2 m, and a way down that was planned on the ground; a
+    # loss of the lease gives authority back, which ends the take-off.
+    for part, to in {"motors": 1.2, "climb": 1.2, "home": 0.0, "land": 0.0}.items()
+    if to == 0.0 or how != "lease"
+}
+
+
+async def end_by(rig: Rig, how: str) -> None:
+    if how == "stop":
+        await rig.agent.stop()
+    elif how == "hover":
+        rig.agent.hover("somebody")
+    elif how == "mission stop":
+        await rig.agent.ask(orders.StopMission(), rig.token)
+    elif how == "pilot":
+        rig.aircraft.vehicle.remote.set_mode("P")
+    else:
+        rig.renewing.cancel()
+        rig.agent.leases.release(rig.token, rig.agent.now)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("how", ["stop", "hover", "mission stop", "pilot", "lease"])
+@pytest.mark.parametrize("part", PARTS)
+async def test_a_flight_from_take_off_to_landing_ends_in_each_of_its_parts(
+    part: str, how: str
+) -> None:
+    """It brakes, and nothing begins that came after; only the autopilot's task goes on."""
+    is_there, task = PARTS[part]
+    async with Rig(firmware="3.1").running() as rig:
+        await rig.agent.ask(orders.Obtain(), rig.token)
+        at_end = AtEnd.GO_HOME if part == "home" else AtEnd.LAND
+        upload = orders.UploadPlan.of(away(rig, 20, 40, at_end=at_end))
+        await rig.agent.ask(upload, rig.token)
+        start = rig.agent.ask(orders.StartMission(upload.digest, take_off=True), rig.token)
+        rig.agent.background.spawn(start, "mission")
+        await rig.until(lambda: is_there(rig), within=60.0)
+        assert rig.holding.require().seen_task == task
+        height, place = rig.aircraft.height, rig.aircraft.position
+        await end_by(rig, how)
+        await anyio.sleep(45.0 if part == "home" else 15.0)
+        to = GOES_ON.get((how, part))
+        expected = height if to is None else to
+        assert rig.aircraft.height == pytest.approx(expected, abs=1.3 if part == "home" else 0.7)
+        home = 0.0, 0.0
+        there = home if (to, part) == (0.0, "home") else place[:2]
+        assert math.dist(rig.aircraft.position[:2], there) < (3.0 if part == "way" else 0.5)
+        assert speed(rig) < 0.1
+
+
+async def test_a_mission_that_the_aircraft_refuses_after_its_take_off_hovers_there() -> None:
+    async with Rig(firmware="3.1").running() as rig:
+        await rig.agent.ask(orders.Obtain(), rig.token)
+        upload = orders.UploadPlan.of(away(rig, 20, 40))
+        await rig.agent.ask(upload, rig.token)
+        async with anyio.create_task_group() as group:
+
+            async def drain() -> None:
+                await rig.until(lambda: rig.aircraft.height > 0.4)
+                rig.aircraft.battery_percent = 25  # missions do not start at it
+
+            group.start_soon(drain)
+            start = orders.StartMission(upload.digest, take_off=True)
+            with pytest.raises(MissionRefused):
+                await rig.agent.ask(start, rig.token)
+        await anyio.sleep(5.0)
+        assert rig.aircraft.height == pytest.approx(1.2, abs=0.2)
+        assert math.hypot(*rig.aircraft.position[:2]) < 0.5
+        assert rig.holding.require().seen_task is None
+        await rig.agent.ask(orders.Land(), rig.token)
+        assert rig.aircraft.height < 0.1
 
 
 async def test_a_guided_flight_begins_is_reported_and_ends_for_a_program(rig: Rig) -> None:

@@ -530,7 +530,7 @@ def telling(**changed: Any) -> Any:
     agent.holding.state, agent.holding.has_authority = HoldingState.HELD, True
     agent.holding.limits = GuardLimits(50.0, 150.0, 10.0, 20, 52.0, 4.3)
     flying = agent.holding.flying
-    flying.task, flying.pattern = "land", "simple task 1"
+    flying.seen_task, flying.pattern = "land", "simple task 1"
     flying.guiding.current.return_value = orders.GuidedFlight("flight", 52.0, 4.3)
     agent.leases.remaining.side_effect = lambda at: 52.5 - at
     agent.leases.holder.return_value = None
@@ -629,7 +629,7 @@ COUNTED = (
     [
         *("connection.state", "connection.error", "connection.aircraft.is_activated"),
         *("activation.code", "activation.error", "holding.state", "holding.has_authority"),
-        *("holding.flying.task", "holding.flying.pattern", "holding.flying.guiding.order"),
+        *("holding.flying.seen_task", "holding.flying.pattern", "holding.flying.guiding.order"),
         "connection.aircraft.mission",
     ],
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import Awaitable, Callable, Mapping, Set
 from dataclasses import dataclass
 from functools import partial
@@ -422,6 +423,13 @@ class PageContext:
         """Where the aircraft is: latitude and longitude, °; None when nobody knows."""
         position = self.agent.view.get(Position)
         return None if position is None else (position.latitude_deg, position.longitude_deg)
+
+    def home(self) -> tuple[float, float] | None:
+        """The take-off point: where it stands, else where it took off, else where it is."""
+        flown = None if self.memory.situation.is_on_ground else self.history.path.home(time.time())
+        place = self.here() if flown is None else (flown.latitude_deg, flown.longitude_deg)
+        # To about a metre: an estimate is no more exact, and a fix is never at rest.
+        return None if place is None else (round(place[0], 5), round(place[1], 5))
 
     def load(self, module: str) -> None:
         """Load ``static/<module>`` into this page, also after it was built."""

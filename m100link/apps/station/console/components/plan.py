@@ -20,6 +20,8 @@ from m100link.apps.station.console.view.plan import (
     actions_of,
     checked,
     drawing,
+    figures_of,
+    is_same,
     profile,
     profile_options,
     row_of,
@@ -27,7 +29,7 @@ from m100link.apps.station.console.view.plan import (
     text_of,
     upload_of,
 )
-from m100link.apps.station.console.view.texts import QuantityKind
+from m100link.apps.station.console.view.texts import QuantityKind, tr
 from m100link.apps.station.console.view.view_model import ViewModel
 from m100link.errors import M100Error, UsageError
 from m100link.missions.plan import WaypointPlan
@@ -50,6 +52,9 @@ class PlanPart:
         self._chosen: int | None = None
         self._is_area = False  # clicks make corners of the area, and not points
         self._found = checked(Draft())
+        self._told: tuple[
+            object, ...
+        ] = ()  # the plan on board and the take-off point of the figures
         self._build()
 
     @property
@@ -82,7 +87,8 @@ class PlanPart:
             self._chart = ui.echart({}).classes("profile")
             self._chart.props("id=plan-profile role=img")
             wording.put(component.attribute(self._chart), "plan.profile")
-        self._whole = WholePart(wording, self._change, self._survey)
+            wording.label("plan.terrain").classes("hint")
+        self._whole = WholePart(wording, self._change, self._pattern)
         self._build_files()
 
     def _build_tools(self) -> None:
@@ -225,9 +231,11 @@ class PlanPart:
             self._chosen = to
             self._change(draft)
 
-    def _survey(self, **how: Any) -> None:
+    def _pattern(self, **how: Any) -> None:
+        """Lines over the area, or with a radius an orbit around its only corner."""
+        make = self._draft.orbited if "radius" in how else self._draft.surveyed
         try:
-            draft = self._draft.surveyed(start=self._page.here(), **how)
+            draft = make(start=self._page.here(), **how)
         except UsageError as error:
             self._refuse(str(error))
         else:
@@ -260,7 +268,15 @@ class PlanPart:
 
     async def _start(self) -> None:
         """Fly the plan that this operator uploaded, and none that somebody else uploaded since."""
-        await self._order(orders.StartMission(self._page.tab.session.uploaded))
+        drawn, uploaded = self._found.plan, self._page.agent.plan
+        # As the page says beside the button: of a plan that is not drawn here nobody sees it.
+        takes_off = is_same(drawn, uploaded) and drawn.take_off
+        if not takes_off and self._page.memory.situation.is_on_ground:
+            raise UsageError(
+                "the aircraft stands on the ground, and the plan has no take-off; nothing was sent",
+                remedy="take off, or tick Take off first and upload the plan",
+            )
+        await self._order(orders.StartMission(self._page.tab.session.uploaded, takes_off))
 
     async def _fly_pattern(self) -> None:
         await self._order(orders.FlyPattern(int(self._number.value)))
@@ -273,8 +289,9 @@ class PlanPart:
     def _show(self) -> None:
         """Show the draft: after each change of it or of the settings, and only then."""
         draft = self._draft
-        found = self._found = checked(draft, self._page.here())
-        self._summary.set_text(self._say(summary_of(draft, found)))
+        self._told = ()
+        self._show_figures()
+        found = self._found
         for is_area, mode in self._modes.items():
             mode.props(f"aria-pressed={'true' if is_area is self._is_area else 'false'}")
         self._notes.clear()
@@ -292,6 +309,19 @@ class PlanPart:
         # The row that was pressed is another one by now, and no place for a script to run in.
         with self._rows:
             _run(f"map.drawPlan({json.dumps(drawing(draft, found, self._chosen))})")
+
+    def _show_figures(self) -> None:
+        """Length, time and battery, of the drawn and the uploaded plan alike."""
+        plan, home = self._page.agent.plan, self._page.home()
+        if self._told == (told := (plan, home)):
+            return
+        self._told = told
+        self._found = found = checked(self._draft, home)
+        self._summary.set_text(self._say(summary_of(self._draft, found)))
+        figures = (
+            tr("mission.no_plan") if plan is None else figures_of(plan, plan.estimate(home=home))
+        )
+        self._plan.set_text(self._say(figures))
 
     def _show_rows(self) -> None:
         self._rows.clear()
@@ -312,7 +342,7 @@ class PlanPart:
         agent = self._page.agent
         uploaded = upload_of(self._found.plan, agent.plan, agent.plan_by)
         self._uploaded.set_text(self._say(uploaded))
-        self._plan.set_text(self._say(view.mission.plan))
+        self._show_figures()
         self._state.set_text(self._say(view.mission.state))
         self._progress.set_value(view.mission.part)
 
@@ -430,9 +460,10 @@ _LINES: tuple[tuple[str, float | None, float, float, QuantityKind | None], ...] 
     ("spacing", None, 1, 1, QuantityKind.LENGTH),
     ("angle", 0.0, -180, 5, None),
     ("photo_every", None, 2, 1, QuantityKind.LENGTH),
+    ("radius", 30.0, 5, 5, QuantityKind.LENGTH),
 )
-"""Of the survey: its name, what stands there at first, the least, the step of its arrows, and what
-it measures."""
+"""Of the patterns: the name, what stands there at first, the least, the step of the arrows, and the
+quantity."""
 
 
 class WholePart:
@@ -440,9 +471,9 @@ class WholePart:
         self,
         wording: component.Wording,  # says what stands there
         change: Callable[[Draft], None],  # takes another draft
-        survey: Callable[..., None],  # makes lines over the area
+        pattern: Callable[..., None],  # makes lines over the area, or an orbit
     ) -> None:
-        self._change, self._survey = change, survey
+        self._change, self._pattern = change, pattern
         self._draft = Draft()
         self._selects: dict[str, ui.select] = {}
         self._lines: dict[str, component.NumberField] = {}
@@ -465,7 +496,11 @@ class WholePart:
                 select.props(f"dense outlined for=plan-{word}")
                 select.on_value_change(partial(self._selected, name, kind))
                 self._selects[name] = select
-        with wording.card("plan.survey"):
+            self._take_off = ui.checkbox().props("id=plan-take-off")
+            self._take_off.on_value_change(partial(self._selected, "take_off", bool))
+            wording.put(self._take_off.set_text, "plan.take_off")
+        with wording.card("plan.pattern"):
+            wording.label("plan.pattern_hint").classes("hint")
             with ui.element("div").classes("numbers"):
                 for name, value, low, step, measure in _LINES:
                     self._lines[name] = component.NumberField(
@@ -477,13 +512,16 @@ class WholePart:
                         step=step,
                         value=value,
                     )
-            wording.button("plan.lines", "data-plan=lines", self._make_lines)
+            with ui.element("div").classes("choices"):
+                wording.button("plan.lines", "data-plan=lines", self._make_lines, looks="")
+                wording.button("plan.orbit", "data-plan=orbit", self._make_orbit, looks="")
 
     def show(self, draft: Draft) -> None:
         self._draft, self._is_showing = draft, True
         self._speed.set(draft.speed)
         for name, select in self._selects.items():
             select.set_value(int(getattr(draft, name)))
+        self._take_off.set_value(draft.take_off)
         self._is_showing = False
 
     def _sped(self, speed: float | None) -> None:
@@ -491,11 +529,10 @@ class WholePart:
             self._change(replace(self._draft, speed=speed, max_speed=max(10.0, speed)))
 
     def _selected(
-        self, name: str, kind: type[IntEnum], event: events.ValueChangeEventArguments[Any]
+        self, name: str, kind: Callable[[Any], Any], event: events.ValueChangeEventArguments[Any]
     ) -> None:
         if not self._is_showing:
-            # Names of three fields, each with values of its own kind.
-            self._change(replace(self._draft, **{name: kind(event.value)}))  # type: ignore[arg-type]
+            self._change(replace(self._draft, **{name: kind(event.value)}))
 
     def _make_lines(self) -> None:
         values = {name: number.value for name, number in self._lines.items()}
@@ -506,9 +543,16 @@ class WholePart:
                 spacing = line_spacing(height, (values["overlap"] or 0.0) / 100.0, X3_DEG)
             except UsageError:
                 spacing = 0.0  # which is refused with its remedy
-        self._survey(
+        self._pattern(
             height=height,
             spacing=float(spacing),
             angle_deg=float(values["angle"] or 0.0),
-            photo_every=None if every is None else float(every),
+            photo_every=every,
+        )
+
+    def _make_orbit(self) -> None:
+        self._pattern(
+            height=self._lines["height"].value or 0.0,
+            radius=self._lines["radius"].value or 0.0,
+            photo_every=self._lines["photo_every"].value,
         )

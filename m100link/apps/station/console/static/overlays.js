@@ -126,7 +126,7 @@ m100.onMap((map) => {
   redrawPlan();
 });
 
-// {points: [[latitude, longitude, is wrong], …], area: [[latitude, longitude], …], chosen: index}
+// {points: [[latitude, longitude, is wrong], …], area: [[latitude, longitude], …], outline: its corners, chosen: index}
 export function drawPlan(wanted) {
   plan = wanted;
   if (group) redrawPlan();
@@ -135,8 +135,8 @@ export function drawPlan(wanted) {
 function redrawPlan() {
   group.clearLayers();
   if (!plan || !isPlanning()) return;
-  const L = window.L, {points, area, chosen} = plan;
-  if (area.length) L.polygon(area, {color: "#00838f", weight: 2, interactive: false}).addTo(group);
+  const L = window.L, {points, area, outline, chosen} = plan;
+  if (area.length) L.polygon(outline, {color: "#00838f", weight: 2, interactive: false}).addTo(group);
   if (points.length)
     L.polyline(points.map((one) => one.slice(0, 2)), {color: "#8e24aa", weight: 3, interactive: false}).addTo(group);
   area.forEach((place, i) => planMark("corner", i, place, "", "corner"));

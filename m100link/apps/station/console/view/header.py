@@ -35,7 +35,6 @@ _NAMES = {
 
 @dataclass(frozen=True, slots=True)
 class MissionView:
-    plan: Text  # the plan in one line
     state: Text
     part: float  # how much of it is flown, 0 to 1
 
@@ -43,21 +42,7 @@ class MissionView:
 def mission_of(inputs: Inputs) -> MissionView:
     plan, state = inputs.plan, inputs.vehicle.state
     text, part = progress(plan, state.mission, state.mission_index)
-    return MissionView(summary(plan), text, part)
-
-
-def summary(plan: WaypointPlan | None) -> Text:
-    if plan is None:
-        return tr("mission.no_plan")
-    low, high = map(Quantity.length, plan.heights)
-    return tr(
-        "mission.plan",
-        count=len(plan.waypoints),
-        length=Quantity.length(plan.length_m),
-        speed=Quantity.speed(plan.speed),
-        low=low,
-        high=high,
-    )
+    return MissionView(text, part)
 
 
 def name_of(mission: str) -> Text:

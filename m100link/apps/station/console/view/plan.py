@@ -11,14 +11,14 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from itertools import accumulate, pairwise
-from typing import Self
+from typing import Self, TypeGuard
 
 from m100link.apps.station.console.view.texts import Quantity, QuantityKind, Text, Units, tr
 from m100link.errors import BadPlan, UsageError
 from m100link.geodesy import distance_m
 from m100link.missions import waypoint
 from m100link.missions.plan import PlanEstimate, WaypointPlan
-from m100link.missions.survey import survey
+from m100link.missions.survey import orbit, survey
 
 Place = tuple[float, float]
 
@@ -39,6 +39,7 @@ class Draft:
     on_rc_loss: waypoint.OnRCLoss = waypoint.OnRCLoss.FAILSAFE  # what happens when the RC is lost
     gimbal_by_waypoint: bool = False  # whether the camera's pitch changes from point to point
     repeat: int = 1  # how many times the way is flown
+    take_off: bool = True  # whether a start on the ground takes off first
     area: tuple[Place, ...] = ()  # corners of the area for a survey, latitude and longitude, °
 
     @classmethod
@@ -87,6 +88,14 @@ class Draft:
             return self
         return replace(self, area=(*self.area[:index], place, *self.area[index + 1 :]))
 
+    @property
+    def outline(self) -> tuple[Place, ...]:
+        """The corners of the area; two of them are opposite corners of a rectangle."""
+        if len(self.area) != 2:
+            return self.area
+        (south, west), (north, east) = self.area
+        return (south, west), (north, west), (north, east), (south, east)
+
     def surveyed(
         self,
         *,
@@ -100,17 +109,46 @@ class Draft:
 
         Raises ``UsageError``: it makes no survey, or one that cannot be flown.
         """
-        plan = survey(
-            self.area,
-            height=height,
-            spacing=spacing,
-            angle_deg=angle_deg,
-            photo_every=photo_every,
-            speed=self.speed,
-            start=start,
-            at_end=self.at_end,
+        return self._flown_as(
+            survey(
+                self.outline,
+                height=height,
+                spacing=spacing,
+                angle_deg=angle_deg,
+                photo_every=photo_every,
+                speed=self.speed,
+                start=start,
+                at_end=self.at_end,
+            )
         )
-        return replace(self, points=tuple(plan.waypoints))
+
+    def orbited(
+        self, *, height: float, radius: float, photo_every: float | None, start: Place | None
+    ) -> Draft:
+        """With an orbit around the only corner of the area in place of its points.
+
+        Raises ``UsageError``: there is no such corner, or it cannot be flown.
+        """
+        if len(self.area) != 1:
+            raise UsageError(
+                f"an orbit has one centre, and the area has {len(self.area)} corners",
+                remedy="clear the plan, choose Area, and click the centre",
+            )
+        return self._flown_as(
+            orbit(
+                self.area[0],
+                height=height,
+                radius=radius,
+                photo_every=photo_every,
+                speed=self.speed,
+                start=start,
+                at_end=self.at_end,
+            )
+        )
+
+    def _flown_as(self, plan: WaypointPlan) -> Draft:
+        """With the points of a pattern, and what they need."""
+        return replace(Draft.of(plan, self.area), take_off=self.take_off)
 
 
 _OF_A_PLAN = [one.name for one in fields(Draft) if one.name not in ("points", "area")]
@@ -252,14 +290,27 @@ def summary_of(draft: Draft, found: Checked) -> Text:
         return tr("plan.empty")
     if found.plan is None or found.estimate is None:
         return tr("plan.not_flown", count=len(draft.points))
-    low, high = map(Quantity.length, found.plan.heights)
-    count, length = len(draft.points), Quantity.length(found.estimate.length_m)
-    if math.isinf(found.estimate.duration_s):
+    return figures_of(found.plan, found.estimate)
+
+
+def figures_of(plan: WaypointPlan, estimate: PlanEstimate) -> Text:
+    """What a plan is: the same words for one that is drawn, is uploaded, or flies."""
+    low, high = map(Quantity.length, plan.heights)
+    count, length = len(plan.waypoints), Quantity.length(estimate.length_m)
+    if math.isinf(estimate.duration_s):
         return tr("plan.by_stick", count=count, length=length, low=low, high=high)
-    minutes, seconds = divmod(round(found.estimate.duration_s), 60)
-    time, battery = f"{minutes}:{seconds:02d}", round(found.estimate.battery_percent)
+    minutes, seconds = divmod(round(estimate.duration_s), 60)
+    time, battery = f"{minutes}:{seconds:02d}", round(estimate.battery_percent)
+    end = Text(f"plan.at_end.{plan.at_end.name.lower()}")
     return tr(
-        "plan.summary", count=count, length=length, low=low, high=high, time=time, battery=battery
+        "plan.summary",
+        count=count,
+        length=length,
+        low=low,
+        high=high,
+        time=time,
+        battery=battery,
+        end=end,
     )
 
 
@@ -267,10 +318,14 @@ def upload_of(plan: WaypointPlan | None, uploaded: WaypointPlan | None, name: st
     """Whether start would fly what is drawn here."""
     if uploaded is None:
         return tr("plan.is_not_uploaded")
-    # The bytes that the aircraft gets: two plans with the same bytes fly the same.
-    if plan is not None and plan.to_wire() == uploaded.to_wire():
-        return tr("plan.is_uploaded")
+    if is_same(plan, uploaded):
+        return tr("plan.is_uploaded" if plan.take_off else "plan.is_uploaded_for_the_air")
     return tr("plan.is_another", name=name)
+
+
+def is_same(plan: WaypointPlan | None, uploaded: WaypointPlan | None) -> TypeGuard[WaypointPlan]:
+    """Whether both are there and give the aircraft the same bytes, by which it flies the same."""
+    return plan is not None and uploaded is not None and plan.to_wire() == uploaded.to_wire()
 
 
 def row_of(number: int, point: waypoint.Waypoint) -> Text:
@@ -286,6 +341,7 @@ def drawing(draft: Draft, found: Checked, chosen: int | None) -> dict[str, objec
             for index, point in enumerate(draft.points)
         ],
         "area": [list(corner) for corner in draft.area],
+        "outline": [list(corner) for corner in draft.outline],
         "chosen": chosen,
     }
 

@@ -17,7 +17,7 @@ from m100link.apps.station.console.components import plan as part_of_page
 from m100link.apps.station.console.components.map import _SHOWN, ClickPart
 from m100link.apps.station.console.components.plan import PlanPart
 from m100link.apps.station.console.view.map import GuidedKind, Pointed
-from m100link.apps.station.console.view.plan import DraftHistory
+from m100link.apps.station.console.view.plan import Checked, DraftHistory
 from tests.apps.station.conftest import Rig
 from tests.apps.station.console.test_tab import Browser, airborne, keep_alive
 from tests.apps.station.console.view.test_header import newer, plan_of
@@ -35,8 +35,14 @@ def buttons_of(browser: Browser, monkeypatch: pytest.MonkeyPatch) -> dict[str, W
     works: dict[str, Work] = {}
     buttons = SimpleNamespace(add=lambda name, key, work: works.__setitem__(name, work))
     part = object.__new__(PlanPart)
-    page = SimpleNamespace(tab=browser.tab, buttons=buttons, wording=MagicMock())
-    part._page = cast(Any, page)
+    page = SimpleNamespace(
+        tab=browser.tab,
+        buttons=buttons,
+        wording=MagicMock(),
+        agent=browser.rig.front,
+        memory=SimpleNamespace(situation=SimpleNamespace(is_on_ground=False)),
+    )
+    part._page, part._found = cast(Any, page), Checked(None, (), None)
     part._build_mission()
     return works
 

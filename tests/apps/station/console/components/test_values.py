@@ -9,6 +9,7 @@ import inspect
 import json
 import math
 from collections.abc import Callable, Generator, Iterator
+from contextlib import suppress
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
@@ -31,7 +32,7 @@ from m100link.apps.station.console.view.alarms import ActiveAlarm, AlarmName, Al
 from m100link.apps.station.console.view.fly import HELD
 from m100link.apps.station.console.view.header import FleetRow
 from m100link.apps.station.console.view.plan import Draft
-from m100link.apps.station.console.view.situation import AlarmLevel
+from m100link.apps.station.console.view.situation import AlarmLevel, Situation
 from m100link.apps.station.console.view.texts import (
     DisplaySettings,
     LengthUnit,
@@ -41,6 +42,7 @@ from m100link.apps.station.console.view.texts import (
 )
 from m100link.apps.station.console.view.view_model import Memory
 from m100link.errors import GuardRefused, UsageError
+from m100link.geodesy import distance_m
 from m100link.missions.plan import WaypointPlan
 from m100link.protocol.commands.gimbal import GimbalAngle, GimbalAngleMode, GimbalSpeed
 from m100link.protocol.records import Position
@@ -457,6 +459,49 @@ def test_what_holds_for_the_whole_plan_is_chosen(here: Here, name: str) -> None:
     assert not any(note[0] == "ask" for note in here.notes)
 
 
+@pytest.mark.parametrize("takes_off", [True, False])
+@pytest.mark.parametrize("stands", [True, False, None])
+async def test_a_start_on_the_ground_takes_off_only_for_a_plan_that_begins_so(
+    here: Here, monkeypatch: pytest.MonkeyPatch, *, takes_off: bool, stands: bool | None
+) -> None:
+    part, _ = drawn(here)
+    for place in (A, [52.1001, 4.3]):
+        await here.say("map_pointed", view="plan", place=place)
+    with here.client:
+        here.find(id="plan-take-off").set_value(takes_off)
+    assert part._draft.take_off is takes_off
+    here.agent.plan = WaypointPlan.from_wire(*part._draft.plan().to_wire())
+    monkeypatch.setattr(Situation, "is_on_ground", stands)
+    start = here.find(data_act="mission_start")
+    before = list(here.notes)
+
+    async def press() -> list[Any]:
+        here.notes[:] = before
+        with suppress(UsageError):
+            await here.event(start, "held", {"at": 1.0, "press": 1})
+        return [note[1] for note in here.notes if note[0] == "ask"]
+
+    refused = stands is True and not takes_off
+    assert await press() == ([] if refused else [orders.StartMission("the digest", takes_off)])
+    # What is drawn here is another plan by now: nobody sees whether that one takes off.
+    here.type("plan-speed", 3.0)
+    assert await press() == ([] if stands else [orders.StartMission("the digest", take_off=False)])
+
+
+async def test_an_orbit_is_made_around_the_only_corner(here: Here) -> None:
+    _, points = drawn(here)
+    await here.press(here.find(data_plan="orbit"))
+    assert "one centre" in here.find(id="plan-problem").text
+    await here.press(here.find(data_plan="area"))
+    await here.say("map_pointed", view="plan", place=A)
+    here.type("survey-radius", 12.0)
+    here.type("survey-height", 22.0)
+    await here.press(here.find(data_plan="orbit"))
+    assert {one[2] for one in points()} == {22.0}
+    away = [distance_m(*A, *one[:2]) for one in points()]
+    assert away == [pytest.approx(12.0, abs=0.6)] * 25
+
+
 SURVEYS: list[tuple[dict[str, Any], dict[str, Any]]] = [
     # 30 m high an X3 sees 51.2 m across; 70 % overlap leave 15.4 m.
     ({}, {"height": 30.0, "spacing": 15.37, "angle_deg": 0.0, "photo_every": None}),
@@ -537,11 +582,16 @@ async def test_what_is_drawn_is_uploaded_and_shown(here: Here) -> None:
     assert [row.props["aria-pressed"] for row in rows] == ["false", "true"]
     await here.press(rows[0])
     assert part._chosen == 0
-    mission = SimpleNamespace(plan="2 waypoints", state="it flies", part=0.25)
-    here.wording.settings = cast(Any, SimpleNamespace(speaker=str))
+    here.agent.plan = WaypointPlan.from_wire(*part._draft.plan().to_wire())  # as it came back
+    mission = SimpleNamespace(state=Text("mission.waypoint"), part=0.25)
     part.update(SimpleNamespace(mission=mission))
     shown = here.find(id="plan").text, here.find(id="mission").text
-    assert shown == ("2 waypoints", "it flies")
+    assert shown == (here.find(id="plan-summary").text, "waypoint mission")
+    assert shown[0].startswith("2 waypoints, ")
+    before = shown[0]
+    here.place = position(latitude=A[0] + 1.0)  # it stands elsewhere: the way is longer
+    part.update(SimpleNamespace(mission=mission))
+    assert before != here.find(id="plan").text == here.find(id="plan-summary").text
     assert here.find(id="mission-progress").value == 0.25
 
 

@@ -22,7 +22,6 @@ from m100link.apps.station.console.view.header import (
     progress,
     replay_of,
     status_line,
-    summary,
 )
 from m100link.apps.station.console.view.situation import (
     AlarmLevel,
@@ -33,10 +32,7 @@ from m100link.apps.station.console.view.situation import (
 )
 from m100link.apps.station.console.view.texts import (
     Language,
-    LengthUnit,
-    SpeedUnit,
     Translator,
-    Units,
     translations,
 )
 from m100link.apps.station.console.view.view_model import view_of
@@ -78,7 +74,7 @@ async def test_a_plan_from_a_file_is_flown(newer: Rig, as_qgroundcontrol: bool) 
     tab = browser.tab
     upload = orders.UploadPlan.of(WaypointPlan.parse(text))
     assert await tab.attempt(lambda: tab.session.ask(upload)), browser.problem
-    assert SAY(summary(newer.front.plan)) == "3 waypoints, 30 m at 4.0 m/s, height 8 m to 8 m"
+    assert newer.front.plan == plan
     start = orders.StartMission(upload.digest)
     assert await tab.attempt(lambda: tab.session.ask(start)), browser.problem
 
@@ -141,13 +137,6 @@ async def test_a_plan_of_somebody_without_control_is_refused(newer: Rig) -> None
 def test_how_far_it_is_without_a_plan(mission: str, index: int, said: str) -> None:
     what, part = progress(None, mission, index)
     assert (SAY(what), part) == (said, 0.0)
-
-
-def test_a_plan_in_one_line_in_the_units_that_were_chosen() -> None:
-    assert SAY(summary(None)) == "no plan"
-    plan = WaypointPlan([Waypoint(52.1, 4.31, height=20), Waypoint(52.101, 4.31, height=30)])
-    german = Translator(Language.GERMAN, Units(LengthUnit.FOOT, SpeedUnit.KNOT))
-    assert german(summary(plan)) == "2 Wegpunkte, 367 ft mit 9,7 kn, Höhe 66 ft bis 98 ft"
 
 
 # -- the status line -------------------------------------------------------------------------------

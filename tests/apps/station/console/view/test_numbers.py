@@ -20,7 +20,8 @@ from m100link.apps.agent.messages import GuardLimits, LeaseChanged, LinkCounted,
 from m100link.apps.station.console.kept import LINE_COLUMNS, PlotHistory
 from m100link.apps.station.console.view.data import LINK_ITEMS, label, link_of, points
 from m100link.apps.station.console.view.fly import instruments_of, live, seen_from_afar
-from m100link.apps.station.console.view.header import FleetRow, fleet_of, progress, summary
+from m100link.apps.station.console.view.header import FleetRow, fleet_of, progress
+from m100link.apps.station.console.view.plan import figures_of
 from m100link.apps.station.console.view.situation import Inputs, Ship, situation_of
 from m100link.apps.station.console.view.texts import (
     Language,
@@ -253,15 +254,15 @@ PLAN = WaypointPlan(
 
 
 def test_a_plan_in_one_line() -> None:
-    """The way climbs: 113.4 and 152.1 m through the air, 265.5 m on a sphere."""
-    found = re.fullmatch(
-        r"3 waypoints, (\d+) m at 4.5 m/s, height 12 m to 34 m", METRIC(summary(PLAN))
-    )
+    """The way climbs: 113.4 and 152.1 m through the air, 265.5 m on a sphere.
+
+    In 59.0 s, with two stops of 3.35 s and a turn of 2 s.
+    """
+    figures = figures_of(PLAN, PLAN.estimate())
+    found = re.fullmatch(r"3 waypoints, (\d+) m, 12 m to 34 m; 1:08 min, .*", METRIC(figures))
     assert found is not None
     assert float(found[1]) == pytest.approx(265.5, abs=1.5)
-    german = re.fullmatch(
-        r"3 Wegpunkte, (\d+) ft mit 16,2 km/h, Höhe 41 ft bis 113 ft", GERMAN(summary(PLAN))
-    )
+    german = re.fullmatch(r"3 Wegpunkte, (\d+) ft, 41 ft bis 113 ft; 1:08 min, .*", GERMAN(figures))
     assert german is not None
     assert float(german[1]) == pytest.approx(871.0, abs=5.0)
 

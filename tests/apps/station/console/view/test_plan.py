@@ -14,6 +14,7 @@ from m100link import (
     Heading,
     Stay,
     TakePhoto,
+    Trace,
     TurnTo,
     UsageError,
     Waypoint,
@@ -25,6 +26,7 @@ from m100link.apps.station.console.view.plan import (
     actions_of,
     checked,
     drawing,
+    figures_of,
     profile,
     profile_options,
     row_of,
@@ -195,11 +197,67 @@ def said(draft: Draft, speaker: Translator = SAY) -> str:
 
 def test_a_draft_in_one_line() -> None:
     assert said(Draft()) == "No points yet"
-    assert said(DRAFT) == "2 waypoints, 112 m, 20 m to 30 m; 0:26 min, 3 % of a battery"
+    assert said(DRAFT) == (
+        "2 waypoints, 112 m, 20 m to 30 m; 0:26 min, 3 % of a battery; at the end: hover"
+    )
     feet = Translator(Language.GERMAN, Units(LengthUnit.FOOT))
     assert said(DRAFT, feet).startswith("2 Wegpunkte, 367 ft, 66 ft bis 98 ft; 0:26 min")
     assert said(replace(DRAFT, speed=0.0)).endswith("as fast as the pilot's stick")
     assert "would refuse" in said(DRAFT.changed(0, height=900.0))
+
+
+# Home, 30 m north of it A and 130 m B, 20 m high, at 5 m/s. A stop costs 2 + 0.3·5 = 3.5 s.
+# A to B: 100 m, 20 s, a stop. Home to A: 30 m in 6 s, a stop, 20 m of climb in 20/3 s.
+# Landing: 20 m in 20/1.5 s. Home from B: 130 m in 130/8 s, and 2 s. Of a battery: s/10.2 %.
+@pytest.mark.parametrize(
+    ("at_end", "is_home_known", "words"),
+    [
+        (AtEnd.HOVER, True, "150 m, 20 m to 20 m; 0:40 min, 4 % of a battery; at the end: hover"),
+        (AtEnd.LAND, True, "170 m, 20 m to 20 m; 0:53 min, 5 % of a battery; at the end: land"),
+        (
+            AtEnd.GO_HOME,
+            True,
+            "300 m, 20 m to 20 m; 1:11 min, 7 % of a battery; at the end: go home and land",
+        ),
+        (AtEnd.HOVER, False, "100 m, 20 m to 20 m; 0:24 min, 2 % of a battery; at the end: hover"),
+        (AtEnd.LAND, False, "120 m, 20 m to 20 m; 0:37 min, 4 % of a battery; at the end: land"),
+    ],
+)
+def test_a_drawn_and_an_uploaded_plan_have_the_same_length_time_and_battery(
+    at_end: AtEnd, is_home_known: bool, words: str
+) -> None:
+    draft, home = replace(drawn(30, 130), at_end=at_end), at(0) if is_home_known else None
+    uploaded = WaypointPlan.from_wire(*draft.plan().to_wire())
+    assert SAY(summary_of(draft, checked(draft, home))) == f"2 waypoints, {words}"
+    assert SAY(figures_of(uploaded, uploaded.estimate(home=home))) == f"2 waypoints, {words}"
+
+
+def test_two_corners_are_a_rectangle_and_one_is_the_centre_of_an_orbit() -> None:
+    draft = Draft().cornered(at(0, 0)).cornered(at(60, 40))
+    sides = [FRAME.to_local(*corner) for corner in draft.outline]
+    wanted = [(0, 0), (60, 0), (60, 40), (0, 40)]
+    assert sides == [pytest.approx(corner, abs=0.01) for corner in wanted]
+    how: dict[str, Any] = {"height": 30.0, "photo_every": None, "start": at(0)}
+    lines = draft.surveyed(spacing=21.0, angle_deg=0.0, **how)
+    places = [FRAME.to_local(one.latitude_deg, one.longitude_deg) for one in lines.points]
+    wanted = [(0, 10), (60, 10), (60, 30), (0, 30)]
+    assert places == [pytest.approx(place, abs=0.01) for place in wanted]
+    around = Draft(take_off=False).cornered(at(50)).orbited(radius=20.0, **how)
+    plan = around.plan()
+    assert (plan.heading, plan.trace, plan.take_off) == (
+        Heading.BY_WAYPOINT,
+        Trace.COORDINATED_TURNS,
+        False,
+    )
+    far = [
+        math.dist(FRAME.to_local(p.latitude_deg, p.longitude_deg), (50, 0)) for p in plan.waypoints
+    ]
+    assert far == [pytest.approx(20.0, abs=0.01)] * 25
+    again = replace(around, area=draft.area).surveyed(spacing=20.0, angle_deg=0.0, **how)
+    assert again.plan().trace is Trace.STOP_AT_POINTS  # of a survey nothing of the orbit is left
+    for corners in ((), draft.area):
+        with pytest.raises(UsageError, match="an orbit has one centre"):
+            replace(draft, area=corners).orbited(radius=20.0, **how)
 
 
 def test_a_waypoint_in_one_line() -> None:
@@ -217,7 +275,11 @@ def test_whether_start_flies_what_is_drawn_here() -> None:
     mission, points = plan.to_wire()
     as_told = WaypointPlan.from_wire(mission, points)  # single precision, whole degrees
     assert told(plan, None) == "Not uploaded"
-    assert told(plan, as_told) == "Uploaded: start flies this plan"
+    assert (
+        told(plan, as_told) == "Uploaded: start flies this plan, and takes off first on the ground"
+    )
+    in_the_air = replace(plan, take_off=False)
+    assert told(in_the_air, as_told) == "Uploaded: start flies this plan in the air"
     assert told(replace(plan, speed=3.0), as_told).endswith("tower uploaded another plan")
     assert told(None, as_told).endswith("tower uploaded another plan")
 
@@ -227,6 +289,7 @@ def test_what_the_map_draws_says_which_points_are_wrong() -> None:
     assert drawing(draft, checked(draft), 1) == {
         "points": [[52.1, 4.31, False], [52.101, 4.31, True]],
         "area": [[52.0, 4.0]],
+        "outline": [[52.0, 4.0]],
         "chosen": 1,
     }
 

@@ -130,8 +130,15 @@ def test_what_the_page_asks_for_is_what_it_gets() -> None:
 
 
 SAME = (
-    *("actions.stop", "click.radius", "link.firmware", "link.jitter", "link.cause.version"),
-    *("plan.title", "actions.pause", "plan.mission", "plan.actions_hint"),
+    *(
+        "actions.stop",
+        "click.radius",
+        "plan.radius",
+        "link.firmware",
+        "link.jitter",
+        "link.cause.version",
+    ),
+    *("plan.title", "plan.radius", "actions.pause", "plan.mission", "plan.actions_hint"),
     *("plots.csv", "plots.item.position", "plots.item.magnetometer", "plots.field.phase"),
     *("settings.language.en", "settings.language.de", "instruments.device.app"),
     *("alarms.event.raised", "checklist.gps"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from m100link.apps.agent.messages import Event, Replay, State
 from m100link.apps.station.console.view.alarms import AlarmName, AlarmState
 from m100link.apps.station.console.view.situation import Inputs, RecordedFlight
-from m100link.apps.station.console.view.texts import Translator, tr
+from m100link.apps.station.console.view.texts import Translator
 from m100link.apps.station.console.view.view_model import Memory, view_of
 from m100link.log.story import FlightSummary, Moment, Span
 from tests.known import seen
@@ -19,7 +19,7 @@ def test_of_nothing_known_nothing_is_shown() -> None:
         "instruments.nothing"
     }
     assert all(reading.is_stale for reading in view.instruments.readings.values())
-    assert view.mission.plan == tr("mission.no_plan")
+    assert view.mission.part == 0.0
     assert view.events == ()
 
 
