@@ -17,6 +17,7 @@ from tests.browser.operator import (
     in_control,
     is_still,
     look_at,
+    shows,
     steer,
 )
 
@@ -96,9 +97,7 @@ async def test_a_gamepad_flies_while_its_shoulder_button_is_held(flight: Flight)
     assert is_still(console)  # the stick alone moves nothing
 
     async def shoulder(is_pressed: bool) -> None:
-        await page.evaluate(
-            "(pressed) => window.pad.buttons = Array(6).fill({pressed})", is_pressed
-        )
+        await page.evaluate("(pressed) => window.pad.buttons.fill({pressed}, 4)", is_pressed)
         # The page let go, or steers; either ends as it sees the button come up.
         await page.wait_for_function(SHOULDER_IS_SEEN, arg=is_pressed)
 
@@ -110,6 +109,55 @@ async def test_a_gamepad_flies_while_its_shoulder_button_is_held(flight: Flight)
     )
     await shoulder(False)
     await until(lambda: is_still(console))
+
+
+async def test_the_card_of_a_gamepad_moves_sticks_and_not_the_aircraft(
+    flight: Flight,
+) -> None:
+    console, page = flight
+    await page.evaluate("Object.assign(window.pad, {id: 'Pad of a test', index: 0})")
+    await look_at(page, "settings")
+    await shows(page, "#gamepad .which", "Pad of a test")
+
+    async def shoulder(is_pressed: bool) -> None:
+        await page.evaluate("(pressed) => window.pad.buttons.fill({pressed}, 4)", is_pressed)
+        await asyncio.sleep(0.2)
+
+    await page.evaluate("window.pad.axes = [0, 0, 0, -1]")
+    await shoulder(True)
+    await page.wait_for_selector("#gamepad .row.down >> text=Button 4")
+    right = page.locator("#gamepad .stick").nth(1)
+    assert await right.evaluate("(one) => one.style.getPropertyValue('--up')") == "1"
+    await page.get_by_label("inverted").nth(3).check()  # of the last direction, forward
+    await page.wait_for_function(
+        "document.querySelectorAll('#gamepad .stick')[1].style.getPropertyValue('--up') === '-1'"
+    )
+    await asyncio.sleep(0.7)
+    assert is_still(console)
+    await look_at(page, "fly")
+    await page.click("#pad")
+    await asyncio.sleep(0.7)
+    assert is_still(console)  # the shoulder button is held since before
+    await shoulder(False)
+    await steer(
+        page,
+        lambda: shoulder(True),
+        lambda: shoulder(False),
+        lambda: console.watch.speed[1] < -0.5,
+    )
+    await page.evaluate("navigator.getGamepads = () => [null]")  # out of reach, or unplugged
+    await until(lambda: is_still(console))
+    await page.evaluate("navigator.getGamepads = () => [window.pad]")
+    await asyncio.sleep(0.7)
+    assert is_still(console)
+    await shoulder(False)
+    await look_at(page, "settings")
+    await page.click("#gamepad >> text=As usual")
+    assert not await page.get_by_label("inverted").nth(3).is_checked()
+    await page.evaluate("window.pad.buttons[1] = {pressed: true}")
+    await banner(page, "STOP")
+    await page.evaluate("window.pad.buttons[1] = {pressed: false}")
+    await look_at(page, "fly")
 
 
 async def test_the_stick_on_the_screen_flies_while_it_is_held(flight: Flight) -> None:

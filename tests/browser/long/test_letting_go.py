@@ -152,10 +152,10 @@ async def test_a_gamepad_that_is_held_while_the_page_loses_the_focus(console: Co
     await page.keyboard.press("Digit4")
 
     async def press() -> None:
-        await page.evaluate("window.pad.buttons = Array(6).fill({pressed: true})")
+        await page.evaluate("window.pad.buttons.fill({pressed: true}, 4)")
 
     async def lift() -> None:
-        await page.evaluate("window.pad.buttons = Array(6).fill({pressed: false})")
+        await page.evaluate("window.pad.buttons.fill({pressed: false}, 4)")
         await asyncio.sleep(0.2)
 
     await steer(page, press, lift, lambda: console.watch.speed[1] > 0.5)

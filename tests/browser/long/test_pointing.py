@@ -17,11 +17,14 @@ from tests.browser.operator import (
     airborne,
     hold,
     hold_until,
+    in_control,
     is_still,
+    look_around,
     look_at,
     press,
     shows,
 )
+from tests.waiting import PATIENCE
 
 pytestmark = [pytest.mark.anyio]
 
@@ -230,3 +233,29 @@ async def _draw_and_keep(page: Any, folder: Path) -> Path:
     plan = WaypointPlan.read(path)
     assert [one.height for one in plan.waypoints].count(25.0) == 1
     return path
+
+
+async def test_a_plan_takes_off_flies_an_orbit_and_lands(browser: Any) -> None:
+    async with console_in_browser(browser, "--firmware", "3.1") as console:
+        page = await console.open()
+        await in_control(page)
+        await look_around(page)
+        await look_at(page, "plan")
+        await page.click("[data-plan=area]")
+        await page.mouse.click(*await on_map(page, 40, -60))
+        await page.wait_for_selector(".waypoint.corner")
+        await page.fill("#survey-radius", "8")
+        await page.fill("#survey-height", "9")
+        await page.locator("label:has(#plan-at_end)").click()
+        await page.get_by_role("option", name="land", exact=True).click()
+        await page.click("[data-plan=orbit]")
+        await shows(page, "#plan-summary", "25 waypoints")
+        await shows(page, "#plan-summary", "at the end: land")
+        await press(page, "mission_upload")
+        await shows(page, "#plan-uploaded", "takes off first")
+        summary = await page.inner_text("#plan-summary")
+        assert await page.inner_text("#plan") == summary
+        await hold_until(page, "mission_start", lambda: console.watch.height > 5.0)
+        await shows(page, "#mission", "to waypoint")
+        await until(lambda: console.watch.height < 0.3, within=4 * PATIENCE)
+        await shows(page, "#mission", "no mission")

@@ -251,7 +251,10 @@ _HEAD = (
     # The imports of shell.js, asked for with it and not after it.
     + "".join(
         f'<link rel="modulepreload" href="/console/{name}.js">'
-        for name in ("shell", "press", "orders", "said", "socket", "steer", "instruments", "map")
+        for name in (
+            *("shell", "press", "orders", "said", "socket"),
+            *("steer", "gamepad", "instruments", "map"),
+        )
     )
     + "<script>navigator.serviceWorker?.register('/sw.js').catch(() => {})</script>"
 )

@@ -135,6 +135,8 @@ class HudPart:
             wording.put(component.attribute(self._pitch), "camera.pitch")
             self._state = ui.label().props("id=camera-state role=status")
         ui.on("looked", self._looked)
+        photo = partial(self._use, "photo", _USES["photo"])
+        ui.on("photo_pressed", lambda: page.buttons.ask("photo", photo), args=[])
 
     async def _use(self, name: str, use: CameraUse) -> None:
         await self._page.tab.ask(UseCamera(use))

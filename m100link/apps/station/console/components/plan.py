@@ -52,9 +52,7 @@ class PlanPart:
         self._chosen: int | None = None
         self._is_area = False  # clicks make corners of the area, and not points
         self._found = checked(Draft())
-        self._told: tuple[
-            object, ...
-        ] = ()  # the plan on board and the take-off point of the figures
+        self._figured: tuple[object, ...] = ()  # plan and take-off point of the figures
         self._build()
 
     @property
@@ -289,7 +287,7 @@ class PlanPart:
     def _show(self) -> None:
         """Show the draft: after each change of it or of the settings, and only then."""
         draft = self._draft
-        self._told = ()
+        self._figured = ()
         self._show_figures()
         found = self._found
         for is_area, mode in self._modes.items():
@@ -313,9 +311,9 @@ class PlanPart:
     def _show_figures(self) -> None:
         """Length, time and battery, of the drawn and the uploaded plan alike."""
         plan, home = self._page.agent.plan, self._page.home()
-        if self._told == (told := (plan, home)):
+        if self._figured == (figured := (plan, home)):
             return
-        self._told = told
+        self._figured = figured
         self._found = found = checked(self._draft, home)
         self._summary.set_text(self._say(summary_of(self._draft, found)))
         figures = (

@@ -79,6 +79,18 @@ class SettingsPart:
                 wording.button("settings.try_sound", "id=try-sound", self._try_sound)
             for key in ("settings.english_errors", "settings.kept"):
                 wording.label(key).classes("note-plain")
+        with wording.card("settings.gamepad"), ui.element("div").props("id=gamepad") as card:
+            wording.label("settings.gamepad.hint").classes("hint")
+            ui.label().classes("which")
+            with ui.element("div").classes("choices").props("aria-hidden=true"):
+                for axes in ("turn,up", "right,forward"):
+                    ui.element("div").classes("stick").props(f"data-axes={axes}")
+            ui.element("div").classes("fields")
+        with card:
+            ui.run_javascript(
+                'import("/console/gamepad.js").then('
+                '({build}) => build(document.querySelector("#gamepad")))'
+            )
         if self._page.orders is not None:
             with wording.card("status.virtual"):
                 SimPanel(self._page.orders, wording)

@@ -1,9 +1,10 @@
-// Steering. It needs the pad to have the focus and a key, a stick or a gamepad's shoulder button to
-// be held. While that is so, a beat goes out at once and then every 50 ms. When it ends, for whatever
+// Steering. It needs the pad to have the focus and a key, a stick or the handle of a gamepad to be
+// held. While that is so, a beat goes out at once and then every 50 ms. When it ends, for whatever
 // reason, a rest goes out; if even that is lost the station stops 300 ms after the last beat.
 //
 // Whatever ends it also asks for a new press: nothing that is still held flies on by itself.
 
+import {gamepads} from "./gamepad.js";
 import {isSettled} from "./press.js";
 import {number, onChoose, speed, words} from "./said.js";
 
@@ -91,7 +92,8 @@ export class Steering {
     this.level = 1;
     this.mode = 1;
     this.wasActive = false;
-    this.gamepadIsSpent = false;  // its shoulder button has to come up first
+    this.gamepadIsSpent = true;  // its handle has to be seen up first
+    gamepads.onAction = (action) => this.act(action);
     this.tickedAt = performance.now();
     this.said = "";
     this.sticks = [...pad.querySelectorAll(".stick")].map((element) => {
@@ -143,8 +145,9 @@ export class Steering {
 
   choose(button) {
     if (!button) return;
-    if (button.dataset.steer === "mode") this.setMode(3 - this.mode);
-    else this.setLevel(this.level + (button.dataset.steer === "faster" ? 1 : -1));
+    const {steer} = button.dataset;
+    if (steer === "mode") this.setMode(3 - this.mode);
+    else if (steer === "faster" || steer === "slower") this.setLevel(this.level + (steer === "faster" ? 1 : -1));
   }
 
   setLevel(level) {
@@ -160,17 +163,21 @@ export class Steering {
   }
 
   gamepad() {
-    // A shoulder button is the dead man's handle: a stick that drifts moves nothing by itself.
-    const pads = navigator.getGamepads ? [...navigator.getGamepads()] : [];
-    const pad = pads.find((one) => one && one.connected && one.axes.length >= 4
-      && (one.buttons[4]?.pressed || one.buttons[5]?.pressed));
-    if (!pad) this.gamepadIsSpent = false;
-    if (!pad || this.gamepadIsSpent) return null;
-    const dead = (value) => Math.abs(value) < 0.1 ? 0 : value;
-    return {
-      turn: dead(pad.axes[0]), up: -dead(pad.axes[1]),
-      right: dead(pad.axes[2]), forward: -dead(pad.axes[3]),
-    };
+    // A dead man's handle: a stick that drifts moves nothing by itself. A gamepad that went, and comes
+    // back, has to show it up; and in another view, such as the one that maps it, nothing is held.
+    const {isThere, axes} = gamepads.look();
+    if (!isThere || document.body.dataset.view !== "fly") this.gamepadIsSpent = true;
+    else if (!axes) this.gamepadIsSpent = false;
+    return this.gamepadIsSpent ? null : axes;
+  }
+
+  // A button of a gamepad was pressed.
+  act(action) {
+    if (action === "stop")  // in every view, as its button on the page
+      return document.querySelector("[data-act=stop]").dispatchEvent(new PointerEvent("pointerdown"));
+    if (!this.hasFocus || document.body.dataset.view !== "fly") return;
+    if (action === "photo") window.emitEvent("photo_pressed");
+    else this.choose({dataset: {steer: action}});
   }
 
   demand() {
@@ -214,7 +221,7 @@ export class Steering {
   letGo() {
     this.held.clear();
     for (const stick of this.sticks) stick.axes && stick.drop();
-    this.gamepadIsSpent = true;  // until it is seen with its shoulder buttons up
+    this.gamepadIsSpent = true;  // until its handle is seen up
   }
 
   rest() {

@@ -294,7 +294,7 @@ def summary_of(draft: Draft, found: Checked) -> Text:
 
 
 def figures_of(plan: WaypointPlan, estimate: PlanEstimate) -> Text:
-    """What a plan is: the same words for one that is drawn, is uploaded, or flies."""
+    """The figures of a plan, in the same words for one that is drawn, is uploaded, or flies."""
     low, high = map(Quantity.length, plan.heights)
     count, length = len(plan.waypoints), Quantity.length(estimate.length_m)
     if math.isinf(estimate.duration_s):

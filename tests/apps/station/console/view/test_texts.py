@@ -140,8 +140,8 @@ SAME = (
     ),
     *("plan.title", "plan.radius", "actions.pause", "plan.mission", "plan.actions_hint"),
     *("plots.csv", "plots.item.position", "plots.item.magnetometer", "plots.field.phase"),
-    *("settings.language.en", "settings.language.de", "instruments.device.app"),
-    *("alarms.event.raised", "checklist.gps"),
+    *("settings.language.en", "settings.language.de", "settings.gamepad"),
+    *("alarms.event.raised", "checklist.gps", "instruments.device.app"),
 )
 """What reads the same in both languages: names, and words that German has as well."""
 
