@@ -138,7 +138,7 @@ def test_of_the_press_that_shows_a_gamepad_to_the_page_only_stop_counts() -> Non
     assert (found["notes"].count("stop"), found["level"]) == (1, 1)
 
 
-BROKEN = [
+BROKEN: list[Any] = [
     None,
     [],
     "x",
