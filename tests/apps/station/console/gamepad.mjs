@@ -6,7 +6,7 @@ const [folder, kept, steps] = process.argv.slice(2);
 
 const notes = [];
 const element = {dataset: {}, textContent: "", addEventListener() {}, contains: () => true, querySelectorAll: () => [], querySelector: () => element};
-const stop = {dispatchEvent: () => notes.push("stop")};
+const stop = {dispatchEvent: () => { notes.push("stop"); steering.rest(); }};  // as shell.js
 let now = 10000, pads = [];
 Object.defineProperty(globalThis, "navigator", {value: {getGamepads: () => pads}});
 Object.defineProperty(globalThis, "performance", {value: {now: () => now}});

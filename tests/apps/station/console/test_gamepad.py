@@ -89,6 +89,7 @@ def test_a_mapping_exchanges_axes_and_turns_them_round() -> None:
 UP = [0.0, -1.0, 0.0, 0.0]
 
 LETS_GO: dict[str, Step] = {
+    "its STOP is pressed": step(UP, FLY, STOP),
     "the handle is let go": step(UP),
     "it disconnects": step(UP, FLY, is_there=False),
     "the mapping page is opened": step(UP, FLY, view="settings"),

@@ -71,14 +71,13 @@ export class Gamepads {
   look() {
     const pads = (navigator.getGamepads ? [...navigator.getGamepads()] : []).filter((one) => one?.connected);
     const said = pads.map((pad) => [pad, read(pad, this.map)]);
-    const down = new Map();
+    const before = this.down;
+    this.down = new Map(said.map(([pad, {pressed}]) => [pad.index, pressed]));  // first: a STOP looks again
     for (const [pad, {pressed}] of said) {
       // A browser shows a gamepad when one of its buttons is pressed: of these only STOP is meant.
-      const before = this.down.get(pad.index) ?? new Set(ACTIONS.filter((one) => one !== "stop"));
-      down.set(pad.index, pressed);
-      for (const action of pressed) if (!before.has(action)) this.onAction(action);
+      const was = before.get(pad.index) ?? new Set(ACTIONS.filter((one) => one !== "stop"));
+      for (const action of pressed) if (!was.has(action)) this.onAction(action);
     }
-    this.down = down;
     this.onLook(said);
     const held = said.find(([, {pressed}]) => pressed.has("fly"));
     return {isThere: pads.length > 0, axes: held ? held[1].axes : null};

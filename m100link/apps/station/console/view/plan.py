@@ -148,7 +148,8 @@ class Draft:
 
     def _flown_as(self, plan: WaypointPlan) -> Draft:
         """With the points of a pattern, and what they need."""
-        return replace(Draft.of(plan, self.area), take_off=self.take_off)
+        changed = {name: getattr(plan, name) for name in ("heading", "trace", "gimbal_by_waypoint")}
+        return replace(self, points=tuple(plan.waypoints), **changed)
 
 
 _OF_A_PLAN = [one.name for one in fields(Draft) if one.name not in ("points", "area")]

@@ -944,6 +944,20 @@ async def test_a_fleet_has_a_row_for_each_and_each_can_be_stopped(here: Here) ->
 # -- settings -------------------------------------------------------------------------------------
 
 
+async def test_the_card_of_the_gamepad_is_filled_by_the_page(here: Here) -> None:
+    here.make(settings.SettingsPart)
+    assert here.find(id="gamepad")
+    [script] = [note[1] for note in here.notes if "gamepad.js" in str(note)]
+    assert 'build(document.querySelector("#gamepad"))' in script
+    assert [here.find(data_axes=one) is not None for one in ("turn,up", "right,forward")]
+
+
+async def test_a_button_of_a_gamepad_takes_a_photograph(here: Here) -> None:
+    here.make(fly.HudPart)
+    await here.say("photo_pressed")
+    assert ("ask", orders.UseCamera(orders.CameraUse.PHOTO)) in here.notes
+
+
 async def test_what_is_chosen_is_kept_and_said(here: Here) -> None:
     here.make(settings.SettingsPart)
     for name, value in (("language", "de"), ("length", "ft"), ("speed", "kn"), ("theme", "dark")):

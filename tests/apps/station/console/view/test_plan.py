@@ -242,7 +242,9 @@ def test_two_corners_are_a_rectangle_and_one_is_the_centre_of_an_orbit() -> None
     places = [FRAME.to_local(one.latitude_deg, one.longitude_deg) for one in lines.points]
     wanted = [(0, 10), (60, 10), (60, 30), (0, 30)]
     assert places == [pytest.approx(place, abs=0.01) for place in wanted]
-    around = Draft(take_off=False).cornered(at(50)).orbited(radius=20.0, **how)
+    chosen = Draft(take_off=False, repeat=2, at_end=AtEnd.LAND)
+    around = chosen.cornered(at(50)).orbited(radius=20.0, **how)
+    assert (around.repeat, around.at_end) == (2, AtEnd.LAND)
     plan = around.plan()
     assert (plan.heading, plan.trace, plan.take_off) == (
         Heading.BY_WAYPOINT,
