@@ -16,7 +16,7 @@ from operator import itemgetter
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
-from m100link.errors import LayoutMismatch, UsageError
+from m100link.errors import UsageError
 from m100link.errors.texts import read_json, read_path
 from m100link.link import Direction
 from m100link.log.channels import CHUNKS, EVENT, LINK, RX, SCHEMAS, TX, is_telemetry
@@ -34,6 +34,7 @@ from m100link.log.records import (
     registered,
 )
 from m100link.protocol.firmware import PROFILES, FirmwareProfile, profile
+from m100link.protocol.packet import fits
 from m100link.protocol.records import AccelerationMode
 from m100link.telemetry.columns import Columns, Table
 from m100link.telemetry.sample import AccelerationReader, Sample, acceleration_mode
@@ -77,6 +78,10 @@ class Message(NamedTuple):
         if not isinstance(content, dict):
             raise _foreign(self.topic)
         return content
+
+
+Packages = list[tuple[bytes, float]]
+"""Values of telemetry packages, and when they arrived on the event loop's clock, s."""
 
 
 class Chunk(NamedTuple):
@@ -164,11 +169,12 @@ class FlightLog:
         """The same; parts of the file that end before a time are passed over."""
         names: dict[int, str] = {}
         losses = Losses()
+        make = tuple.__new__
         with self._open() as stream:
             for record in records(stream, topics, round(since_utc * 1e9), losses):
                 if type(record) is RawMessage:
-                    at, utc = record.publish_time / 1e9, record.log_time / 1e9
-                    yield Message(names[record.channel_id], at, utc, record.data)
+                    channel, _, utc_ns, at_ns, data = record
+                    yield make(Message, (names[channel], at_ns / 1e9, utc_ns / 1e9, data))
                 elif type(record) is RecordedChannel:
                     names[record.id] = record.topic
         if self._damage is None and since_utc <= 0.0:
@@ -238,10 +244,10 @@ class FlightLog:
                 return AccelerationMode(content["acceleration"])
         reader = AccelerationReader()
         for one in self._heard(()):
-            if not isinstance(one, Message):
-                reader.read(one[0], firmware, one[1])
-            if reader.mode is not None:
-                break
+            for value, at in () if isinstance(one, Message) else one:
+                reader.read(value, firmware, at)
+                if reader.mode is not None:
+                    return reader.mode
         return reader.mode
 
     def nameless(self, remedy: str) -> UsageError:
@@ -264,13 +270,19 @@ class FlightLog:
         chosen = self.firmware if firmware is None else profile(firmware)
         if chosen is None:
             raise self.nameless("samples(firmware='1.0')")
-        return (one for one in self.heard(firmware=chosen) if isinstance(one, Sample))
+        return (
+            Sample(value, chosen, at)
+            for found in self.heard(firmware=chosen)
+            if not isinstance(found, Message)
+            for value, at in found
+        )
 
-    def heard(self, *topics: str, firmware: FirmwareProfile | None) -> Iterator[Message | Sample]:
+    def heard(self, *topics: str, firmware: FirmwareProfile | None) -> Iterator[Message | Packages]:
         """Telemetry packages, and the messages of some topics, while the file is read once.
 
         Packages are in order of time, and messages, too; a message may stand a second beside the
-        packages of its time. ``firmware``: profile to read packages by; None: none is read.
+        packages of its time. Those that do not fit the profile are left out, as in flight.
+        ``firmware``: profile to read packages by; None: none is read.
         """
         acceleration = AccelerationReader()
         if firmware is not None:
@@ -279,22 +291,19 @@ class FlightLog:
             if isinstance(one, Message):
                 yield one
             elif firmware is not None:
-                value, at = one
                 if not acceleration.is_idle:
-                    value = acceleration.read(value, firmware, at)
-                try:
-                    yield Sample(value, firmware, at)
-                except LayoutMismatch:
-                    continue  # as in flight: counted by the link, read by nobody
+                    one = [(acceleration.read(value, firmware, at), at) for value, at in one]
+                yield [pair for pair in one if fits(pair[0], firmware)]
 
-    def _heard(self, topics: Sequence[str]) -> Iterator[Message | tuple[bytes, float]]:
-        """The same with the values of packages, and when they arrived."""
-        decoder = FrameDecoder()
+    def _heard(self, topics: Sequence[str]) -> Iterator[Message | Packages]:
+        """The same without a look into packages; those of some reads come together."""
+        feed = FrameDecoder().feed
         received: dict[float, Message] = {}
         for message in self._messages((RX, CHUNKS, *topics)):
-            if message.topic == RX:
+            topic = message.topic
+            if topic == RX:
                 received[message.at] = message
-            elif message.topic != CHUNKS:
+            elif topic != CHUNKS:
                 yield message
             elif message.data.startswith(_OF_WRITES):
                 continue
@@ -302,13 +311,15 @@ class FlightLog:
                 raw = received.pop(message.at, None)
                 if raw is None:  # it stood in a part of the file that is damaged
                     continue
-                begin = 0
+                found: Packages = []
+                began_at, data, begin = raw.at, raw.data, 0
                 for offset_us, length in zip(content["offset_us"], content["length"], strict=True):
-                    at, end = raw.at + offset_us / 1e6, begin + length
-                    for frame in decoder.feed(raw.data[begin:end]):
+                    end = begin + length
+                    for frame in feed(data[begin:end]):
                         if is_telemetry(frame):
-                            yield frame.data[2:], at
+                            found.append((frame.data[2:], began_at + offset_us / 1e6))
                     begin = end
+                yield found
 
     def rows(
         self, *records: type[Any], firmware: str | FirmwareProfile | None = None

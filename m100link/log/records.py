@@ -159,6 +159,7 @@ class _Reader:
         self._is_searched = False  # for channels that no part declares
         self._has_parts = False
         self._data_end = 0  # where all parts have ended
+        self._head = -1, b""  # the newest that was asked for, and its place
         self._is_summary_whole = False
         self._counted: dict[int, int] = {}
 
@@ -285,7 +286,9 @@ class _Reader:
 
     def _head_at(self, at: int) -> bytes:
         """Kind and length of a record, and enough of its body to see whether they fit it."""
-        return self._read(at, _LONGEST_PART_HEAD)
+        if at != self._head[0]:  # each is asked for twice
+            self._head = at, self._read(at, _LONGEST_PART_HEAD)
+        return self._head[1]
 
     def _goes_on(self, at: int) -> bool:
         """Whether another record begins there, or the file ends as it should."""

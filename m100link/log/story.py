@@ -10,8 +10,9 @@ from typing import Any, NamedTuple
 
 from m100link.geodesy import LocalFrame
 from m100link.log.channels import COMMAND, EVENT, LINK
-from m100link.log.reading import FlightLog, Message
+from m100link.log.reading import FlightLog, Message, Packages
 from m100link.protocol.firmware import FirmwareProfile, profile
+from m100link.protocol.items import BY_RECORD
 from m100link.protocol.records import (
     Attitude,
     Battery,
@@ -398,8 +399,11 @@ def read_story(
     commands = _CommandReader(story, first.at, interval_s, listener)
     reader = _SampleReader(story, interval_s, listener)
     for one in flight.heard(COMMAND, EVENT, LINK, firmware=known):
-        if isinstance(one, Sample):
-            reader.hear(one.received_at - first.at, one)
+        if not isinstance(one, Message):
+            assert known is not None  # no packages without
+            reader.hear(one, first.at, known)
+        elif one.topic == COMMAND and _MOVE in one.data:
+            commands.hear_move(one)
         else:
             # Of another writer: ours holds what is looked for.
             with suppress(ValueError, LookupError, TypeError, AttributeError):
@@ -430,15 +434,23 @@ class _CommandReader:
         self._holder: tuple[str, float] = ("pilot", 0.0)
         self._counted: tuple[float, dict[str, Any]] | None = None
 
+    def hear_move(self, message: Message) -> None:
+        """A setpoint, as most messages are: it is counted, and rarely looked into."""
+        at = message.at - self._began_at
+        if at > self._story.duration_s:
+            self._story.duration_s = at
+        begin, last, count = self._streams.get("move", (at, at, 0))
+        if at - last > _STREAM_GAP_S:
+            self._count_stream(at, "move")
+        else:
+            self._streams["move"] = begin, at, count + 1
+        if self._listener is not None and at - self._moved_at >= self._interval_s:
+            self._moved_at = at
+            self._listener(at, message)
+
     def hear(self, message: Message) -> None:
         at = message.at - self._began_at
         self._story.duration_s = max(self._story.duration_s, at)
-        if message.topic == COMMAND and _MOVE in message.data:
-            self._count_stream(at, "move")
-            if self._listener is not None and at - self._moved_at >= self._interval_s:
-                self._moved_at = at
-                self._listener(at, message)
-            return
         content = message.content()
         if message.topic == COMMAND:
             if content["is_ack"] and content["direction"] == "rx":
@@ -538,66 +550,79 @@ class _SampleReader:
         self._story = story
         self._interval_s, self._listener = interval_s, listener
         self._due_at, self._flags = -math.inf, 0  # items that were looked into since the last time
+        # The flag of each item that is looked into, and what hears it: the phase first.
+        heard: dict[type[Any], Callable[[float, Any], None]] = {
+            FlightStatus: self._hear_phase,
+            Position: self._hear_position,
+            Velocity: self._hear_velocity,
+            Attitude: self._hear_attitude,
+            Battery: self._hear_battery,
+            ControlDevice: self._hear_device,
+        }
+        self._readers = [(1 << BY_RECORD[one].bit, one, hear) for one, hear in heard.items()]
         self._alarms: list[Span] = []
         self.last_at: float | None = None
         self._longest_s = 0.0  # without a package so far; a longer one is looked into
-        self._second = (0, 0)  # number, and packages in it
+        self._second = self._count = 0  # its number, and packages in it so far
         self._phase = ""
         self._phases: list[tuple[float, str]] = []
         self._control: list[tuple[float, str]] = []
         self._ringing: dict[str, tuple[float, str]] = {}
 
-    def hear(self, at: float, sample: Sample) -> None:
-        story, curves, most = self._story, self._story.curves, self._story.maxima
-        story.packages += 1
-        self._count(at)
-        flags = sample.flags
-        if at >= self._due_at:
-            self._due_at, self._flags = at + 0.999 * self._interval_s, 0
-        elif not flags & ~self._flags:
-            return  # its items come once more
-        self._flags |= flags
-        if self._listener is not None:
-            self._listener(at, sample)
-        status = sample.get(FlightStatus)
-        if status is not None:
-            self._hear_phase(at, status)
-        position = sample.get(Position)
-        if position is not None:
-            self._hear_position(at, position)
-        velocity = sample.get(Velocity)
-        if velocity is not None:
-            speed = velocity.ground_speed_m_s
-            curves.ground_speed_m_s.add(at, speed)
-            curves.climb_m_s.add(at, velocity.up_m_s)
-            most.note("ground_speed_m_s", speed)
-            most.note("climb_m_s", velocity.up_m_s)
-            most.note("descent_m_s", -velocity.up_m_s)
-        attitude = sample.get(Attitude)
-        if attitude is not None:
-            upright = 1.0 - 2.0 * (attitude.q1**2 + attitude.q2**2)
-            if math.isfinite(upright):
-                most.note("tilt_deg", math.degrees(math.acos(max(-1.0, min(1.0, upright)))))
-        battery = sample.get(Battery)
-        if battery is not None:
-            self._hear_battery(at, battery.percent)
-        device = sample.get(ControlDevice)
-        if device is not None and device.device is not None:
-            name = _DEVICES[device.device]
-            if not self._control or self._control[-1][1] != name:
-                self._control.append((at, name))
+    def hear(self, packages: Packages, began_at: float, firmware: FirmwareProfile) -> None:
+        """Packages in order of time; ``began_at``: clock of the first message of the log, s."""
+        self._story.packages += len(packages)
+        last, due_at = self.last_at, self._due_at
+        for value, received_at in packages:
+            at = received_at - began_at
+            if last is not None and at - last > self._longest_s:
+                self._note_silence(last, at)
+            last = at
+            if not self._second <= at < self._second + 1:
+                self._end_second(at)
+            self._count += 1
+            flags = value[0] | value[1] << 8
+            if at >= due_at:
+                due_at = at + 0.999 * self._interval_s
+                self._flags = 0
+            new = flags & ~self._flags
+            if not new:
+                continue  # its items come once more
+            self._flags |= new
+            sample = Sample(value, firmware, received_at)
+            if self._listener is not None:
+                self._listener(at, sample)
+            for flag, record, hear in self._readers:
+                if new & flag:
+                    hear(at, sample[record])
+        self.last_at, self._due_at = last, due_at
 
-    def _count(self, at: float) -> None:
-        last, self.last_at = self.last_at, at
-        if last is not None and at - last > self._longest_s:
-            self._note_silence(last, at)
-        number, count = self._second
-        if not number <= at < number + 1:
-            self._story.curves.packages_per_s.add(number + 0.5, count)
-            for empty in range(number + 1, min(int(at), number + 4)):
-                self._story.curves.packages_per_s.add(empty + 0.5, 0.0)
-            number, count = int(at), 0
-        self._second = number, count + 1
+    def _hear_velocity(self, at: float, velocity: Velocity) -> None:
+        curves, most = self._story.curves, self._story.maxima
+        speed = velocity.ground_speed_m_s
+        curves.ground_speed_m_s.add(at, speed)
+        curves.climb_m_s.add(at, velocity.up_m_s)
+        most.note("ground_speed_m_s", speed)
+        most.note("climb_m_s", velocity.up_m_s)
+        most.note("descent_m_s", -velocity.up_m_s)
+
+    def _hear_attitude(self, _: float, attitude: Attitude) -> None:
+        upright = 1.0 - 2.0 * (attitude.q1**2 + attitude.q2**2)
+        if math.isfinite(upright):
+            tilt_deg = math.degrees(math.acos(max(-1.0, min(1.0, upright))))
+            self._story.maxima.note("tilt_deg", tilt_deg)
+
+    def _hear_device(self, at: float, device: ControlDevice) -> None:
+        name = None if device.device is None else _DEVICES[device.device]
+        if name is not None and (not self._control or self._control[-1][1] != name):
+            self._control.append((at, name))
+
+    def _end_second(self, at: float) -> None:
+        number, rates = self._second, self._story.curves.packages_per_s
+        rates.add(number + 0.5, self._count)
+        for empty in range(number + 1, min(int(at), number + 4)):
+            rates.add(empty + 0.5, 0.0)
+        self._second, self._count = int(at), 0
 
     def _note_silence(self, last: float, at: float) -> None:
         self._story.maxima.note("silence_s", at - last)
@@ -648,8 +673,8 @@ class _SampleReader:
     def _is_in_air(self) -> bool:
         return self._phase in ("flight", "landing")
 
-    def _hear_battery(self, at: float, charge: int) -> None:
-        most = self._story.maxima
+    def _hear_battery(self, at: float, battery: Battery) -> None:
+        charge, most = battery.percent, self._story.maxima
         self._story.curves.battery_percent.add(at, charge)
         if most.battery_first_percent is None:
             most.battery_first_percent = charge

@@ -132,14 +132,18 @@ def field_span(record: type[Any], field: str, flags: int, profile: FirmwareProfi
     return slice(place[0] + span.start, place[0] + span.stop)
 
 
-def _fits(value: bytes, profile: FirmwareProfile) -> bool:
-    flags = value[0] | value[1] << 8
-    return not flags & ~profile.item_flags and telemetry_size(flags, profile) == len(value)
+def fits(value: bytes, profile: FirmwareProfile) -> bool:
+    """Whether a telemetry value has the right flags and length under a profile."""
+    flags = value[0] | value[1] << 8 if len(value) >= _FLAGS_SIZE else ~0
+    plan: _Plan | None = profile.plans.get(flags)
+    if plan is None:
+        plan = None if flags & ~profile.item_flags else _plan(flags, profile)
+    return plan is not None and plan.size == len(value)
 
 
 def fitting_profiles(value: bytes) -> list[str]:
     """Names of the profiles under which a telemetry value has the right flags and length."""
-    return [p.name for p in PROFILES.values() if _fits(value, p)] if len(value) >= 2 else []
+    return [p.name for p in PROFILES.values() if fits(value, p)]
 
 
 class TelemetryPacket(RecordViews):

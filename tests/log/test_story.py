@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
+import random
+from bisect import bisect_left
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +18,7 @@ from m100link.errors import M100Error
 from m100link.log import read
 from m100link.log.story import read_story
 from m100link.protocol.records import Battery
+from m100link.sim.line import LineFaults
 from m100link.sim.orders import perform
 from m100link.sim.ports import driver
 from m100link.sim.virtual import VirtualAircraft
@@ -76,6 +80,48 @@ async def test_a_quick_look_finds_the_same_within_its_interval(tmp_path: Path) -
     assert quick.maxima.silence_s == whole.maxima.silence_s
     assert len(heard) < whole.packages / 2
     assert [one.name for one in quick.alarms] == [one.name for one in whole.alarms]
+
+
+@pytest.mark.parametrize("seed", range(3))
+async def test_a_quick_look_at_a_drawn_flight_has_what_the_whole_one_has(
+    seed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Legs, faults and damage of the line by the seed; each value within what moves meanwhile."""
+    chance, interval_s = random.Random(seed), 0.5
+    aircraft = VirtualAircraft(seed=seed, app_id=APP_ID, key=KEY, faults=LineFaults(damage=0.002))
+    monkeypatch.setattr(driver, "aircraft_of", lambda _: aircraft)
+    with contextlib.suppress(M100Error):
+        async with connect("sim://", record=tmp_path / "flight.mcap") as flown:
+            await flown.activate(Credentials(app_id=APP_ID, key=KEY))
+            async with flown.control() as control:
+                await control.take_off()
+                for _ in range(3):
+                    north, east = chance.uniform(-9, 9), chance.uniform(-9, 9)
+                    await control.fly_to(north=north, east=east, up=chance.uniform(0, 3))
+                    perform(aircraft, chance.choice(["battery 24", "gps 2", "gps 5", "stall on"]))
+                    await asyncio.sleep(chance.uniform(1.0, 3.0))
+                    perform(aircraft, "stall off")
+    flight = read(tmp_path / "flight.mcap")
+    whole, quick = read_story(flight), read_story(flight, interval_s=interval_s)
+    for name in ("packages", "commands", "streams", "repeats", "discarded_bytes", "ended"):
+        assert getattr(quick, name) == getattr(whole, name), (seed, name)
+    for name in ("phases", "control", "alarms"):
+        ours, its = getattr(quick, name), getattr(whole, name)
+        assert [one.name for one in ours] == [one.name for one in its], (seed, name)
+        for one, other in zip(ours, its, strict=True):
+            assert one.begin_s == pytest.approx(other.begin_s, abs=interval_s), (seed, one, other)
+    most, least = whole.maxima, quick.maxima
+    assert least.silence_s == most.silence_s
+    assert most.ground_speed_m_s is not None
+    assert most.distance_m is not None
+    step_m = most.ground_speed_m_s * interval_s
+    assert least.distance_m == pytest.approx(most.distance_m, abs=step_m), seed
+    times = [place.at_s for place in whole.track.places()]
+    places = whole.track.places()
+    for place in quick.track.places():
+        near = places[max(0, bisect_left(times, place.at_s) - 1)]
+        apart = math.hypot(near.north_m - place.north_m, near.east_m - place.east_m)
+        assert apart <= step_m + 0.2, (seed, place, near)
 
 
 ALARMS = {

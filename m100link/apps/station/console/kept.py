@@ -23,7 +23,7 @@ from m100link.apps.agent.client import AgentClient, Hearing, VehicleView
 from m100link.apps.station.console.view.fly import FREE_FOR_S
 from m100link.errors import M100Error
 from m100link.log.reading import Message, read
-from m100link.log.story import Curve, FlightPath, FlightSummary, read_story
+from m100link.log.story import Curve, Curves, FlightPath, FlightSummary, read_story
 from m100link.protocol.commands.control import Move
 from m100link.protocol.firmware import FIRMWARE_1_0, PROFILES
 from m100link.protocol.items import ITEMS
@@ -300,9 +300,7 @@ class _Rows:
     firmware: str
     interval: float = INTERVAL_S
     times: array[float] = field(default_factory=lambda: array("d"))
-    columns: dict[str, array[float]] = field(
-        default_factory=lambda: {name: array("d") for name in (*COLUMNS, *COMMANDED.values())}
-    )
+    _rows: list[tuple[float | None, ...]] = field(default_factory=list)
     _state: AircraftState = field(default_factory=lambda: AircraftState(lambda: 0.0))
     _commanded: dict[str, float] = field(default_factory=dict)
     _commanded_at: float = -math.inf
@@ -313,24 +311,37 @@ class _Rows:
             last = self.times[-1] if self.times else -math.inf
             if at - last >= 0.999 * self.interval:
                 if at - last > _HOLE_S and self.times:
-                    self._add(last + _HOLE_S / 2, {})
-                self._add(at, self._row(at, one.received_at))
+                    self._add(last + _HOLE_S / 2, (None,) * (len(COLUMNS) + len(COMMANDED)))
+                commanded = self._commanded if at - self._commanded_at <= _FLOWN_FOR_S else {}
+                self._add(
+                    at,
+                    (
+                        *_numbers(self._state, one.received_at),
+                        *(None for _ in LINE_COLUMNS),
+                        *map(commanded.get, COMMANDED.values()),
+                    ),
+                )
         else:
             self._commanded_at, self._commanded = at, self._read(one)
 
-    def _row(self, at: float, now: float) -> dict[str, float | None]:
-        row = dict(zip(COLUMNS, _numbers(self._state, now), strict=False))
-        return row | (self._commanded if at - self._commanded_at <= _FLOWN_FOR_S else {})
-
-    def _add(self, at: float, row: Mapping[str, Any]) -> None:
+    def _add(self, at: float, row: tuple[float | None, ...]) -> None:
         self.times.append(at)
-        for name, column in self.columns.items():
-            value = row.get(name)
-            column.append(math.nan if value is None else float(value))
+        self._rows.append(row)
         if len(self.times) > MOST_ROWS:
             self.interval *= 2.0
-            for column in (self.times, *self.columns.values()):
-                del column[1::2]
+            del self.times[1::2], self._rows[1::2]
+
+    def columns(self, curves: Curves) -> dict[str, array[float]]:
+        """The rows by column, with the curves of the line."""
+        names = (*COLUMNS, *COMMANDED.values())
+        turned = zip(*self._rows, strict=True) if self._rows else [()] * len(names)
+        found = {
+            name: array("d", [math.nan if value is None else value for value in column])
+            for name, column in zip(names, turned, strict=True)
+        }
+        return found | {
+            name: self._beside(getattr(curves, curve)) for name, curve in _OF_CURVES.items()
+        }
 
     def _read(self, message: Message) -> dict[str, float]:
         """The numbers that a setpoint commands; none where it is of another writer."""
@@ -358,14 +369,15 @@ class _Rows:
         found["yaw_deg" if mode.yaw is Yaw.ANGLE else "yaw_rate_deg_s"] = yaw
         return {f"commanded.{name}": value for name, value in found.items()}
 
-    def take(self, name: str, curve: Curve) -> None:
+    def _beside(self, curve: Curve) -> array[float]:
         """The last point of a curve before each row."""
-        column, points = self.columns[name], iter(curve.points())
+        column, points = array("d"), iter(curve.points())
         value, following = math.nan, next(points, None)
-        for number, at in enumerate(self.times):
+        for at in self.times:
             while following is not None and following[0] <= at:
                 value, following = following[1], next(points, None)
-            column[number] = value
+            column.append(value)
+        return column
 
 
 def analyse(path: str, firmware: str) -> Recorded | str:
@@ -381,9 +393,7 @@ def analyse(path: str, firmware: str) -> Recorded | str:
         return error.seen
     except OSError as error:
         return f"{path} cannot be read: {error.strerror}"
-    for name, curve in _OF_CURVES.items():
-        rows.take(name, getattr(story.curves, curve))
-    return Recorded(story, rows.times, rows.columns)
+    return Recorded(story, rows.times, rows.columns(story.curves))
 
 
 _CHILD = (
