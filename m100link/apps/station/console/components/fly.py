@@ -116,8 +116,10 @@ class HudPart:
         self._is_held = False  # a finger moves the slider
         self._asked: tuple[str, float] | None = None  # the last order to the camera, and when
         wording, add = page.wording, page.buttons.add
-        with _place("hud") as hud:
+        # It scrolls where a phone has no room for both: by keys, too, with all its buttons grey.
+        with _place("hud").props("tabindex=0 role=group") as hud:
             horizon = ui.element("canvas").props("id=horizon role=img")
+        wording.put(component.attribute(hud), "page.fold.horizon")
         wording.put(component.attribute(horizon), "instruments.horizon")
         with hud, ui.element("div").classes("card camera").props("id=camera"):
             with ui.element("div").classes("acts"):
