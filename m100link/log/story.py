@@ -378,7 +378,7 @@ def read_story(
     *,
     firmware: str | FirmwareProfile | None = None,
     interval_s: float = 0.0,
-    listener: Callable[[float, Sample | Message], None] | None = None,
+    listener: Callable[[FlightSummary, float, Sample | Message], None] | None = None,
 ) -> FlightSummary:
     """Read a whole log, once; 7 s of a processor for an hour of flight at full rates.
 
@@ -387,7 +387,8 @@ def read_story(
         firmware: As for :meth:`FlightLog.samples`.
         interval_s: Look into items and setpoints only so often, which takes half the time. It
             counts every package, and finds every silence.
-        listener: Called with the time, s after the beginning of the log, and package or setpoint.
+        listener: Called with the summary as far as it is, the time, s after the beginning of the
+            log, and package or setpoint. Phases, control and most alarms come at the end.
     """
     story = FlightSummary(flight.path.name)
     first = next(flight.messages(), None)
@@ -422,7 +423,7 @@ class _CommandReader:
         story: FlightSummary,
         began_at: float,  # clock of the first message, s
         interval_s: float,
-        listener: Callable[[float, Message], None] | None,
+        listener: Callable[[FlightSummary, float, Message], None] | None,
     ) -> None:
         self._began_at = began_at
         self._story = story
@@ -446,7 +447,7 @@ class _CommandReader:
             self._streams["move"] = begin, at, count + 1
         if self._listener is not None and at - self._moved_at >= self._interval_s:
             self._moved_at = at
-            self._listener(at, message)
+            self._listener(self._story, at, message)
 
     def hear(self, message: Message) -> None:
         at = message.at - self._began_at
@@ -545,7 +546,7 @@ class _SampleReader:
         self,
         story: FlightSummary,
         interval_s: float,
-        listener: Callable[[float, Sample], None] | None,
+        listener: Callable[[FlightSummary, float, Sample], None] | None,
     ) -> None:
         self._story = story
         self._interval_s, self._listener = interval_s, listener
@@ -591,7 +592,7 @@ class _SampleReader:
             self._flags |= new
             sample = Sample(value, firmware, received_at)
             if self._listener is not None:
-                self._listener(at, sample)
+                self._listener(self._story, at, sample)
             for flag, record, hear in self._readers:
                 if new & flag:
                     hear(at, sample[record])

@@ -68,7 +68,7 @@ async def test_a_quick_look_finds_the_same_within_its_interval(tmp_path: Path) -
     flight = read(tmp_path / "flight.mcap")
     heard: list[float] = []
     whole = read_story(flight)
-    quick = read_story(flight, interval_s=0.1, listener=lambda at, _: heard.append(at))
+    quick = read_story(flight, interval_s=0.1, listener=lambda _, at, __: heard.append(at))
     assert [one.name for one in quick.phases] == [one.name for one in whole.phases]
     begins = [one.begin_s for one in quick.phases]
     assert begins == pytest.approx([one.begin_s for one in whole.phases], abs=0.1)

@@ -12,7 +12,8 @@ import sys
 import time
 from array import array
 from bisect import bisect_left, bisect_right
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from itertools import pairwise
@@ -165,11 +166,11 @@ class PlotHistory:
                 agent.background.spawn(self._read(replay.path, agent.state.firmware), "analysis")
 
     async def _read(self, path: str, firmware: str) -> None:
-        found = await analysed(path, firmware)
-        if isinstance(found, str):
-            self.fault = found
-        else:
-            self.recorded = found
+        async for found in analysed(path, firmware):
+            if isinstance(found, str):
+                self.fault = found
+            else:
+                self.recorded = found
 
     def add(self, utc: float, view: VehicleView) -> None:
         """Add a row. ``utc``: seconds since 1970."""
@@ -257,6 +258,7 @@ COMMANDED = {
 
 INTERVAL_S, LONG_INTERVAL_S = 0.2, 0.5  # between packages that are looked into
 LARGE = 20_000_000  # bytes of a file, about half an hour, from which on it is the longer one
+FIRST_S = 30.0  # of a flight after which a page has the first part
 MOST_ROWS = 10_000  # of a recorded flight: with more, every second one is dropped
 _FLOWN_FOR_S = 0.5  # after a setpoint nothing is commanded any more
 _HOLE_S = 2.0
@@ -270,6 +272,7 @@ class Recorded:
     story: FlightSummary  # phases, alarms, commands, track
     times: array[float]  # of the rows
     columns: Mapping[str, array[float]]  # their values; NaN where there was none
+    is_whole: bool = True  # else the file is still being read: all that comes later is missing
 
     def at(self, utc: float) -> float:
         """The time of the log at a POSIX time of the flight, s."""
@@ -380,15 +383,28 @@ class _Rows:
         return column
 
 
-def analyse(path: str, firmware: str) -> Recorded | str:
-    """Read a file, or return why it cannot be read. ``firmware``: name of the profile, or empty."""
-    rows = _Rows(firmware)
+def analyse(
+    path: str, firmware: str, told: Callable[[Recorded], None] = lambda _: None
+) -> Recorded | str:
+    """Read a file, or return why it cannot be read.
+
+    ``firmware``: name of the profile, or empty. ``told`` gets what was found so far: after half a
+    minute of flight, and each time that twice as much was read.
+    """
+    rows, due_s = _Rows(firmware), FIRST_S
+
+    def hear(story: FlightSummary, at: float, one: Sample | Message) -> None:
+        nonlocal due_s
+        rows.hear(at, one)
+        if at >= due_s:
+            due_s = 2.0 * at
+            story.duration_s = max(story.duration_s, at)
+            told(Recorded(story, rows.times, rows.columns(story.curves), is_whole=False))
+
     try:
         flight = read(path)
         interval_s = LONG_INTERVAL_S if flight.path.stat().st_size > LARGE else INTERVAL_S
-        story = read_story(
-            flight, firmware=firmware or None, interval_s=interval_s, listener=rows.hear
-        )
+        story = read_story(flight, firmware=firmware or None, interval_s=interval_s, listener=hear)
     except M100Error as error:
         return error.seen
     except OSError as error:
@@ -397,25 +413,37 @@ def analyse(path: str, firmware: str) -> Recorded | str:
 
 
 _CHILD = (
-    "import gc, pickle, sys; gc.disable(); "  # it makes no circles, and walks through many tuples
-    "from m100link.apps.station.console.kept import analyse; "
-    "sys.stdout.buffer.write(pickle.dumps(analyse(*sys.argv[1:])))"
+    "import gc, sys; gc.disable(); "  # it makes no circles, and walks through many tuples
+    "from m100link.apps.station.console.kept import analyse, send; "
+    "send(analyse(*sys.argv[1:], send))"
 )
 
 
-async def analysed(path: str, firmware: str) -> Recorded | str:
-    """The same by a process of its own, which ends with the task."""
+def send(found: Recorded | str) -> None:
+    """Write it to the process that asked."""
+    data = pickle.dumps(found)
+    sys.stdout.buffer.write(len(data).to_bytes(8, "little") + data)
+    sys.stdout.buffer.flush()
+
+
+async def analysed(path: str, firmware: str) -> AsyncIterator[Recorded | str]:
+    """The same by a process of its own, which ends with the iterator: parts, then the whole."""
     process = await asyncio.create_subprocess_exec(
         *(sys.executable, "-c", _CHILD, path, firmware),
         stdin=asyncio.subprocess.DEVNULL,
         stdout=asyncio.subprocess.PIPE,
     )
+    assert process.stdout is not None
+    found: Recorded | str | None = None
     try:
-        data, _ = await process.communicate()
+        with suppress(asyncio.IncompleteReadError):
+            while True:
+                size = int.from_bytes(await process.stdout.readexactly(8), "little")
+                found = pickle.loads(await process.stdout.readexactly(size))  # of our own process
+                yield found
+        await process.wait()
+        if found is None or (isinstance(found, Recorded) and not found.is_whole):
+            yield f"the process that read {path} ended with {process.returncode}"
     finally:
         if process.returncode is None:
             process.kill()
-    if not data:
-        return f"the process that read {path} ended with {process.returncode}"
-    found: Recorded | str = pickle.loads(data)  # of our own process
-    return found

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+import pickle
 import random
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable
@@ -631,14 +632,57 @@ async def test_of_a_long_file_every_second_row_goes(
 
 
 async def test_the_process_that_reads_returns_what_it_read(alarming: Path) -> None:
-    there = await analysed(str(alarming), "1.0")
+    [*_, there] = [one async for one in analysed(str(alarming), "1.0")]
     here = analyse(str(alarming), "1.0")
     assert isinstance(there, Recorded)
     assert isinstance(here, Recorded)
+    assert there.is_whole
     assert there.story.alarms == here.story.alarms
     assert there.story.path.points() == here.story.path.points()
     assert there.times == here.times
-    assert isinstance(await analysed("none.mcap", ""), str)
+    [none] = [one async for one in analysed("none.mcap", "")]
+    assert isinstance(none, str)
+
+
+async def test_a_page_has_the_first_part_long_before_the_file_is_read(
+    alarming: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(kept, "FIRST_S", 2.0)
+    parts: list[Recorded] = []
+    # Each as the page has it: by another process.
+    whole = analyse(str(alarming), "", lambda one: parts.append(pickle.loads(pickle.dumps(one))))
+    assert isinstance(whole, Recorded)
+    assert [one.is_whole for one in (*parts, whole)] == [False] * len(parts) + [True]
+    ends = [one.story.duration_s for one in parts]
+    assert ends == pytest.approx([2.0 * 2**n for n in range(len(parts))], rel=0.3)
+    assert len(parts) >= 3
+    places, homes = whole.story.path.points(), whole.story.path.homes
+    for one in parts:
+        # What a part has stays: the track from its beginning, the rows, its alarms.
+        assert one.times == whole.times[: len(one.times)]
+        assert one.columns[HEIGHT].tobytes() == whole.columns[HEIGHT][: len(one.times)].tobytes()
+        assert one.story.path.homes == homes[: len(one.story.path.homes)]
+        assert {(a.name, a.begin_s) for a in one.story.alarms} <= {
+            (a.name, a.begin_s) for a in whole.story.alarms
+        }
+        if one.story.path.homes:
+            assert one.story.path.points() == places[: len(one.story.path.points())]
+
+
+FIRST_PART = """
+from m100link.apps.station.console.kept import FlightSummary, Recorded, send
+send(Recorded(FlightSummary(""), [], {}, False))
+"""
+
+
+@pytest.mark.parametrize("answer", ["", FIRST_PART], ids=["nothing", "a part"])
+async def test_a_reader_that_dies_is_told_beside_what_it_read(
+    monkeypatch: pytest.MonkeyPatch, answer: str
+) -> None:
+    monkeypatch.setattr(kept, "_CHILD", f"{answer}\nimport os; os._exit(7)")
+    found = [one async for one in analysed("flight.mcap", "")]
+    assert found[-1] == "the process that read flight.mcap ended with 7"
+    assert len(found) == (2 if answer else 1)
 
 
 @pytest.mark.parametrize(

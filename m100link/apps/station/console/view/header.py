@@ -233,8 +233,10 @@ def replay_of(
     after = min((one for one in begins if one > 0.05), default=None)
     when = time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime(source.utc))
     note = tr("replay.at_end") if source.is_at_end else None
-    if flight is None:
-        note = tr("replay.unread", why=fault) if fault else tr("replay.reading")
+    share = 0.0 if flight is None else flight.read
+    if fault or share < 1.0:
+        percent = int(100.0 * share)
+        note = tr("replay.unread", why=fault) if fault else tr("replay.reading", percent=percent)
     if source.is_at_end and source.is_cut_off:
         note = tr("replay.cut_off")
     return ReplayView(

@@ -362,11 +362,16 @@ READ = RecordedFlight(FlightSummary("flight.mcap"), 65.0)
 
 
 @pytest.mark.parametrize(
-    ("fault", "note"),
-    [("", "the file is being read"), ("no MCAP", "the file cannot be read: no MCAP")],
+    ("share", "fault", "note"),
+    [
+        (None, "", "the file is being read: 0 %"),
+        (0.32, "", "the file is being read: 32 %"),
+        (None, "no MCAP", "the file cannot be read: no MCAP"),
+        (0.64, "it ended with 7", "the file cannot be read: it ended with 7"),
+    ],
 )
-def test_a_file_that_was_not_read_is_said_to_be(fault: str, note: str) -> None:
-    shown = replay_of(TOLD, None, fault)
+def test_how_far_a_file_was_read_is_said(share: float | None, fault: str, note: str) -> None:
+    shown = replay_of(TOLD, None if share is None else replace(READ, read=share), fault)
     assert shown is not None
     assert shown.note is not None
     assert SAY(shown.note) == note
