@@ -438,13 +438,8 @@ class _CommandReader:
     def hear_move(self, message: Message) -> None:
         """A setpoint, as most messages are: it is counted, and rarely looked into."""
         at = message.at - self._began_at
-        if at > self._story.duration_s:
-            self._story.duration_s = at
-        begin, last, count = self._streams.get("move", (at, at, 0))
-        if at - last > _STREAM_GAP_S:
-            self._count_stream(at, "move")
-        else:
-            self._streams["move"] = begin, at, count + 1
+        self._story.duration_s = max(self._story.duration_s, at)
+        self._count_stream(at, "move")
         if self._listener is not None and at - self._moved_at >= self._interval_s:
             self._moved_at = at
             self._listener(self._story, at, message)
