@@ -384,12 +384,12 @@ class _Rows:
 
 
 def analyse(
-    path: str, firmware: str, told: Callable[[Recorded], None] = lambda _: None
+    path: str, firmware: str, on_part: Callable[[Recorded], None] = lambda _: None
 ) -> Recorded | str:
     """Read a file, or return why it cannot be read.
 
-    ``firmware``: name of the profile, or empty. ``told`` gets what was found so far: after half a
-    minute of flight, and each time that twice as much was read.
+    ``firmware``: name of the profile, or empty. ``on_part`` gets what is read: after half a
+    minute of flight, and each time that it is twice as much.
     """
     rows, due_s = _Rows(firmware), FIRST_S
 
@@ -399,7 +399,7 @@ def analyse(
         if at >= due_s:
             due_s = 2.0 * at
             story.duration_s = max(story.duration_s, at)
-            told(Recorded(story, rows.times, rows.columns(story.curves), is_whole=False))
+            on_part(Recorded(story, rows.times, rows.columns(story.curves), is_whole=False))
 
     try:
         flight = read(path)

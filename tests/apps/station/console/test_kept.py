@@ -676,7 +676,7 @@ send(Recorded(FlightSummary(""), [], {}, False))
 
 
 @pytest.mark.parametrize("answer", ["", FIRST_PART], ids=["nothing", "a part"])
-async def test_a_reader_that_dies_is_told_beside_what_it_read(
+async def test_a_reader_that_dies_is_named_beside_what_it_read(
     monkeypatch: pytest.MonkeyPatch, answer: str
 ) -> None:
     monkeypatch.setattr(kept, "_CHILD", f"{answer}\nimport os; os._exit(7)")
