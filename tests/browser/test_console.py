@@ -350,21 +350,6 @@ async def test_a_refusal_says_why(console: Console) -> None:
     await shows(page, "[data-check=activation]", "the server refused")
 
 
-async def test_map_tiles_come_from_a_folder(browser: Any, tmp_path: Path) -> None:
-    for zoom in range(10, 20):
-        (tmp_path / str(zoom)).mkdir()  # no tile at all is no error either
-    async with console_in_browser(browser, "--tiles", str(tmp_path)) as console:
-        page = await console.context.new_page()
-        async with page.expect_request("**/tiles/**") as asked:
-            await page.goto(console.url)
-        path = urllib.parse.urlparse((await asked.value).url).path
-        zoom, column, row = path.removeprefix("/tiles/").removesuffix(".png").split("/")
-        place = 2 ** int(zoom)
-        assert int(column) / place == pytest.approx((113.9589 + 180) / 360, abs=5 / place)
-        north = math.asinh(math.tan(math.radians(22.5431))) / math.pi
-        assert int(row) / place == pytest.approx((1 - north) / 2, abs=5 / place)
-
-
 @pytest.mark.parametrize(
     "headers", [{"Host": "evil.example"}, {"Origin": "http://evil.example"}, {"Origin": "null"}]
 )

@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from importlib.machinery import ModuleSpec
 
 _AREA = "52.1,4.31 52.1,4.312 52.101,4.312 --height 30 --spacing 20"
+_TILES = "'https://tiles.example/{z}/{x}/{y}.png'"
 _FRAME = "aa230000000000000400757f0103480000803f000000000000003f0000204163c2ab89"
 
 # The groups of the help, and their verbs in the order of a user's day: the verb, its module, and
@@ -73,6 +74,13 @@ _ROWS = {
     "Serve": (
         ("console", "serve", "--sim", "lab-m100 --no-open-browser"),
         ("serve", "serve", "--sim", "left=/dev/ttyUSB0 right=/dev/ttyUSB1"),
+        ("map", "map:app", "", ""),
+        (
+            *("map download", "", f"{_TILES} 52.1,4.31 --attribution '© Anna'"),
+            f"{_TILES} 52.1,4.31 52.11,4.33 --max-zoom 18 --attribution '© Anna'",
+        ),
+        ("map import", "", "field.mbtiles", "field.mbtiles --attribution '© Anna'"),
+        ("map info", "", "", "--json"),
         ("mavlink", "serve", "sim://", "lab-m100 --to udp://127.0.0.1:14540"),
         ("ros2", "serve", "sim://", "lab-m100 --namespace /drones --dji-names"),
         ("fleet", "fleet_verbs:app", "", ""),

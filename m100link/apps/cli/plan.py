@@ -70,7 +70,7 @@ class EstimateOptions:
     @property
     def place(self) -> tuple[float, float] | None:
         """Home in degrees. Raises UsageError: these are not two."""
-        return None if self.home is None else _degrees("home", self.home, LocalFrame)
+        return None if self.home is None else degrees("home", self.home, LocalFrame)
 
     def of(self, plan: WaypointPlan) -> PlanEstimate:
         """The estimate."""
@@ -334,7 +334,7 @@ def survey(
         speed: Speed along the lines, m/s.
     """
     plan = lines_over(
-        [_degrees("a corner", word) for word in area],
+        [degrees("a corner", word) for word in area],
         height=height,
         spacing=spacing,
         angle_deg=angle,
@@ -344,7 +344,7 @@ def survey(
     return _write(plan, target, to, force=force)
 
 
-def _degrees(
+def degrees(
     what: str, word: str, check: Callable[[float, float], object] | None = None
 ) -> tuple[float, float]:
     """A place. Raises UsageError: these are not two numbers, or ``check`` takes them for none."""

@@ -78,7 +78,8 @@ class Settings:
         tls_cert: TLS certificate, PEM.
         tls_key: Its private key, PEM.
         pages: Folder of web pages to serve on the rosbridge port, such as DJI's keyboard page.
-        tiles: Folder of map tiles {z}/{x}/{y}.png; without it the console draws a grid.
+        tiles: MBTiles file of the console's map; by default map.mbtiles in m100link of your state
+            folder (~/.local/state), which `map download` fills. Without tiles there is a grid.
         max_clients: Greatest number of clients at once.
         keep_authority: Seconds to keep control authority, in a hover, when the process that serves
             clients fails while one of them flies; 0 gives authority back at once.

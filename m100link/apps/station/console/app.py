@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import base64
 import hashlib
-import os
 import re
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
@@ -29,8 +28,8 @@ from m100link.apps.station.console.tabs import Tabs
 from m100link.apps.station.listeners import Fronts
 from m100link.apps.station.web.access_control import AccessControl
 from m100link.apps.station.web.limits import PageRateLimit
-from m100link.apps.station.web.server import PublicFiles, serve_http
-from m100link.errors import UsageError
+from m100link.apps.station.web.server import serve_http
+from m100link.apps.station.web.tiles import MapTiles
 
 if TYPE_CHECKING:
     from m100link.apps.agent.client import AgentClient
@@ -58,14 +57,11 @@ browser opens its socket within seconds.
 
 def console_app(
     agents: Mapping[str, AgentClient],
-    settings: Settings,  # who may connect, and the folder with tiles
+    settings: Settings,  # who may connect, and the file with tiles
     orders: Mapping[str, SimulatorOrders],
     tabs: Tabs | None = None,  # where its tabs are kept; of its own by default
 ) -> AccessControl:
-    """The application behind its gate.
-
-    Raises ``UsageError``: the folder with tiles does not exist.
-    """
+    """The application behind its gate."""
     app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
     tabs = tabs or Tabs(agents)
     histories: dict[str, PlotHistory] = {}
@@ -81,10 +77,8 @@ def console_app(
         history_of(name)
     app.router.routes += [WebSocketRoute("/steer/{key}", tabs.serve), Route("/sw.js", worker)]
     app.mount("/console", Policy(StaticFiles(directory=STATIC)))
-    if settings.tiles is not None:
-        if not os.path.isdir(settings.tiles):
-            raise UsageError(f"{settings.tiles} is not a folder")
-        app.mount("/tiles", PublicFiles(directory=settings.tiles))
+    tiles = MapTiles(settings.tiles)
+    app.router.routes.append(Route("/tiles/{tile:path}", tiles))
 
     async def page(client: Client, aircraft: str = "", moved: str = "") -> None:
         key, tab = tabs.open(aircraft, moved)
@@ -94,7 +88,7 @@ def console_app(
             tab.agent,
             tab,
             orders.get(tab.aircraft),
-            has_tiles=settings.tiles is not None,
+            tiles=tiles,
             history_of=history_of,
             tabs=tabs,
         )

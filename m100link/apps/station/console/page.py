@@ -53,6 +53,7 @@ from m100link.apps.station.console.tabs import Tabs
 from m100link.apps.station.console.view.situation import Inputs, RecordedFlight, Ship
 from m100link.apps.station.console.view.texts import for_browser
 from m100link.apps.station.console.view.view_model import Memory, ViewModel, view_of
+from m100link.apps.station.web.tiles import MapTiles
 
 STATIC = Path(__file__).parent / "static"
 
@@ -82,7 +83,7 @@ class Page:
         tab: Tab,  # who looks at it
         orders: SimulatorOrders | None,  # of the panel to a virtual aircraft, or None
         *,
-        has_tiles: bool,  # whether there are map tiles
+        tiles: MapTiles,  # the pictures below the map
         history_of: Callable[[str], PlotHistory],  # what was flown, by the name of an aircraft
         tabs: Tabs,  # who looks at this and at other aircraft
     ) -> None:
@@ -97,7 +98,7 @@ class Page:
             wording,
             ui.dark_mode(None),
             self._show,
-            has_tiles,
+            tiles,
             history_of,
             tabs,
         )

@@ -13,6 +13,7 @@ from nicegui import Client, core, ui
 from m100link.apps.station.console.kept import PlotHistory
 from m100link.apps.station.console.page import Page
 from m100link.apps.station.console.tabs import Tabs
+from m100link.apps.station.web.tiles import MapTiles
 from tests.apps.station.conftest import Rig
 
 pytestmark = pytest.mark.anyio
@@ -35,7 +36,7 @@ async def test_a_page_is_built_in_steps_between_which_everything_else_has_its_tu
     watching = asyncio.create_task(others())
     with client:
         page = Page(
-            rig.front, tab, None, has_tiles=False, history_of=lambda _: PlotHistory(), tabs=tabs
+            rig.front, tab, None, tiles=MapTiles(), history_of=lambda _: PlotHistory(), tabs=tabs
         )
         await page.build("key")
     watching.cancel()

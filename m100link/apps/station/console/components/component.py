@@ -27,6 +27,7 @@ from m100link.apps.station.console.view.texts import (
     tr,
 )
 from m100link.apps.station.console.view.view_model import Memory, ViewModel
+from m100link.apps.station.web.tiles import MapTiles
 from m100link.errors import GuardRefused, UsageError
 from m100link.protocol.records import Position
 
@@ -368,7 +369,7 @@ class PageContext:
     wording: Wording  # says everything in the operator's language and units
     dark: ui.dark_mode  # switches the dark looks of NiceGUI's own elements
     show: Callable[[str], Awaitable[None]]  # shows another view of the page, by its name
-    has_tiles: bool  # whether there are map tiles under ``/tiles/{z}/{x}/{y}.png``
+    tiles: MapTiles  # the pictures below the map, under ``/tiles/{zoom}/{column}/{row}``
     history_of: Callable[[str], PlotHistory]  # what was flown, by the name of an aircraft
     tabs: Tabs  # who looks at this and at other aircraft
 

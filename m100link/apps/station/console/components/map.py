@@ -26,6 +26,7 @@ from m100link.apps.station.console.view.map import (
 )
 from m100link.apps.station.console.view.texts import DisplaySettings, QuantityKind, Text
 from m100link.apps.station.console.view.view_model import ViewModel
+from m100link.apps.station.web.tiles import Pictures
 from m100link.protocol.records import Position
 
 # -- the map ---------------------------------------------------------------------------------------
@@ -47,6 +48,7 @@ class MapPart:
     def __init__(self, page: PageContext) -> None:
         self._page = page
         self._shown = Chart(None, ())
+        self._pictures: Pictures | None = None  # that the page has
         self._track: Any = None  # home, cursor and other flight that the page has
         self._version: Any = None  # of it, with how many of its places
         options = {"zoomControl": False, "attributionControl": False, "maxZoom": 22}
@@ -54,19 +56,24 @@ class MapPart:
             self.leaflet = FlightMap(zoom=18, options=options | {"keyboard": False})
             self.leaflet.props(f"id=map data-vue={self.leaflet.id}").classes("map")
             self.leaflet.clear_layers()  # the tiles of the Internet
-            if page.has_tiles:
-                self.leaflet.tile_layer(
-                    url_template="/tiles/{z}/{x}/{y}.png",
-                    options={"maxNativeZoom": 19, "maxZoom": 22},
-                )
         with ui.element("div").classes("map-tools"):
             for what, icon in _TOOLS:
                 page.wording.tool(f"page.map.{what}", icon, f"data-map={what}")
         ui.label().props("id=map-home").classes("map-home")
+        ui.label().props("id=map-source").classes("map-source")
+        page.load("pictures.js")
+        page.agent.background.spawn(page.tiles.look(), "map tiles")
 
     def update(self, view: ViewModel) -> None:
         """Show plan, envelope and track when they are others; what moves comes by the socket."""
         self._update_track(view)
+        pictures = self._page.tiles.pictures
+        if pictures is not None and pictures != self._pictures:
+            self._pictures = pictures
+            tiles = pictures._asdict() | {"version": str(pictures.version)}
+            ui.run_javascript(
+                f'import("/console/pictures.js").then((map) => map.showTiles({json.dumps(tiles)}))'
+            )
         chart = view.chart
         if chart != self._shown:
             self._shown = chart

@@ -105,7 +105,7 @@ async def ready(rig: Rig, height: float) -> tuple[Browser, PageContext]:
     memory.checklist.height = height
     memory.look(Inputs(vehicle=rig.front.view, has_lease=True))
     none = cast(Any, None)
-    rest = none, memory, none, none, none, False, none, none
+    rest = none, memory, none, none, none, none, none, none
     return browser, PageContext(rig.front, browser.tab, None, *rest)
 
 

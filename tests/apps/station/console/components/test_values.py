@@ -41,6 +41,7 @@ from m100link.apps.station.console.view.texts import (
     Theme,
 )
 from m100link.apps.station.console.view.view_model import Memory
+from m100link.apps.station.web.tiles import MapTiles, Pictures
 from m100link.errors import GuardRefused, UsageError
 from m100link.geodesy import distance_m
 from m100link.missions.plan import WaypointPlan
@@ -92,7 +93,7 @@ class Here:
         self.page = PageContext(
             agent, tab, None, Buttons(agent, tab, self.wording), Memory(), self.wording,
             cast(Any, SimpleNamespace(set_value=self._note("dark"))), self._async("show"),
-            False, lambda _: history, cast(Any, SimpleNamespace(agents=())),
+            MapTiles(), lambda _: history, cast(Any, SimpleNamespace(agents=())),
         )  # fmt: skip
 
     def _note(self, name: str) -> Callable[..., None]:
@@ -721,14 +722,21 @@ async def test_the_card_of_a_point_is_closed_and_forgets_it(here: Here) -> None:
     assert part._pointed.place is None
 
 
-def test_the_map_shows_another_plan_once(here: Here) -> None:
+def test_the_map_shows_another_plan_and_other_tiles_once(here: Here) -> None:
     part = here.make(MapPart)
+    here.works.pop().close()  # the look at the tiles
     here.notes.clear()
+    here.page.tiles.pictures = Pictures((14, 19), "© Anna", 2**60)
     chart = SimpleNamespace(route=((1.0, 2.0),), fence={"radius": 3})
     for one in (chart, chart):
         part.update(SimpleNamespace(chart=one, flight=None))
     [chart_code] = [code for _, code in here.notes if "setChart" in code]
     assert 'map.setChart([[1.0, 2.0]], {"radius": 3})' in chart_code
+    [tiles_code] = [code for _, code in here.notes if "showTiles" in code]
+    given = json.loads(tiles_code.partition("showTiles(")[2].removesuffix("))"))
+    # A number of the browser would not hold the version.
+    version = "1152921504606846976"
+    assert given == {"zooms": [14, 19], "licence": "© Anna", "version": version, "fault": None}
 
 
 # -- a replay -------------------------------------------------------------------------------------

@@ -35,6 +35,7 @@ from m100link.apps.station.console.view.texts import (
     tr,
     translations,
 )
+from m100link.apps.station.web.tiles import TileFault
 from m100link.errors import (
     AuthorityLost,
     GuardRefused,
@@ -119,6 +120,7 @@ def test_the_page_gets_its_words_its_units_and_its_decimal_sign() -> None:
 def test_what_the_page_asks_for_is_what_it_gets() -> None:
     told: dict[str, Any] = for_browser(Translator())
     asked = {f"fate_{fate}" for fate in Fate}  # by their names, in steer.js
+    asked |= {f"tiles_{fault}" for fault in TileFault}  # as the station found them
     for path in (CONSOLE / "static").glob("*.js"):
         for line in path.read_text(encoding="utf-8").splitlines():
             if re.search(r"\b(words|go)\(", line) or "? " in line:
