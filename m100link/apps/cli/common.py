@@ -57,7 +57,7 @@ _OF_PANEL = {
     "App registered with DJI": "app_id key_file key level app_version bundle_id",
     "Safety": "max_height max_radius keep_authority",
     "rosbridge": "port also_ports pages max_clients",
-    "Console": "console_port tiles",
+    "Console": "console_port tiles video",
     "Access": "host token_file allow_host allow_origin tls_cert tls_key",
     "MAVLink": "mavlink mavlink_to sysid autopilot signing_key_file",
     "ROS 2": "ros2 ros2_namespace ros2_node ros2_domain ros2_remap ros2_dji_names",

@@ -264,7 +264,7 @@ def warn_of(settings: Settings) -> None:
 # -- ``m100link serve`` and ``m100link console``: aircraft for many clients, and for browsers ------
 
 
-_ELSEWHERE = ("url", "key", "token", "console_port", "tiles", "origins", "unused")
+_ELSEWHERE = ("url", "key", "token", "console_port", "tiles", "video", "origins", "unused")
 """Settings that are not options of both commands, or not of the command line at all."""
 
 _FromSettings: Any = layer_of_settings(
@@ -359,7 +359,7 @@ class StationOptions(_FromSettings):  # type: ignore[misc] # a class that is mad
 
 @Parameter(name="*")
 @dataclass(frozen=True)
-class PageOptions(layer_of_settings(("console_port", "tiles"))):  # type: ignore[misc] # a class that is made
+class PageOptions(layer_of_settings(("console_port", "tiles", "video"))):  # type: ignore[misc] # a class that is made
     """Where the console is served, and whether a browser shows it at once.
 
     Attributes:

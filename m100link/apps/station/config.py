@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from urllib.parse import urlsplit
 from xml.parsers import expat
 
 from m100link.apps.station.web.access_control import Access, AccessControl, is_loopback
@@ -80,6 +81,8 @@ class Settings:
         pages: Folder of web pages to serve on the rosbridge port, such as DJI's keyboard page.
         tiles: MBTiles file of the console's map; by default map.mbtiles in m100link of your state
             folder (~/.local/state), which `map download` fills. Without tiles there is a grid.
+        video: Live video for the console: the address of an MJPEG stream, or of a WHEP endpoint
+            (with whep in its path); NAME=URL for one of several aircraft. Repeatable.
         max_clients: Greatest number of clients at once.
         keep_authority: Seconds to keep control authority, in a hover, when the process that serves
             clients fails while one of them flies; 0 gives authority back at once.
@@ -137,6 +140,7 @@ class Settings:
     tls_key: Path | None = None
     pages: Path | None = None
     tiles: Path | None = None
+    video: tuple[str, ...] = ()
     max_clients: int = 32
     keep_authority: float = 0.0
     front_niceness: int = FRONT_NICENESS
@@ -240,9 +244,53 @@ class Settings:
             app, hosts=names, origins=self.allow_origin, access=access, own_ports=own_ports
         )
 
+    def videos(self, names: Sequence[str]) -> dict[str, Video]:
+        """The video of each of these aircraft that has one.
+
+        Raises ``UsageError``: an address cannot be one, or belongs to none of them.
+        """
+        found: dict[str, Video] = {}
+        for given in self.video:
+            name, _, url = given.partition("=") if re.match(r"[\w-]+=", given) else ("", "", given)
+            name = name or (names[0] if len(names) == 1 else "")
+            if name not in names:
+                of_which = f"NAME=URL, with NAME of {', '.join(names)}"
+                raise UsageError(f"a video is for {name or 'no aircraft'}", remedy=of_which)
+            found[name] = Video.of(url)
+        return found
+
     def is_plain_beyond_loopback(self) -> bool:
         """Whether the token and everything else would travel readable through a network."""
         return not is_loopback(self.host) and self.tls_cert is None
+
+
+@dataclass(frozen=True, slots=True)
+class Video:
+    """A live video that pages fetch by themselves; the station never does."""
+
+    kind: str  # whep or mjpeg
+    url: str
+    origin: str  # scheme, host and port: all that pages may reach beside the station
+
+    @classmethod
+    def of(cls, url: str) -> Video:
+        """The video at an address. Raises ``UsageError``, which does not repeat it."""
+        try:
+            parts = urlsplit(url)
+            port = "" if parts.port is None else f":{parts.port}"
+        except ValueError:
+            parts, port = urlsplit(""), ""
+        host = parts.hostname or ""
+        if parts.scheme not in ("http", "https") or not re.fullmatch(r"[\w.:-]+", host, re.ASCII):
+            raise UsageError("the address of the video is none", remedy="http://HOST:PORT/PATH")
+        if parts.username is not None:
+            raise UsageError(
+                "the address of the video has a user or password in it",
+                cause="browsers refuse such addresses, and pages would show them",
+                remedy="let the video server admit the page without, or stand in front of it",
+            )
+        kind = "whep" if "whep" in parts.path.lower() else "mjpeg"
+        return cls(kind, url, f"{parts.scheme}://{_in_url(host)}{port}")
 
 
 ENVIRONMENT = {

@@ -58,7 +58,7 @@ def test_every_setting_is_declared_once() -> None:
     own = {"launch", "run"}
     offered = {one.name for one in fields(StationOptions)} - own
     assert offered == names - {
-        *("url", "key", "token", "console_port", "tiles", "origins"),
+        *("url", "key", "token", "console_port", "tiles", "video", "origins"),
         "unused",
     }
     defaults = {one.name: one.default for one in fields(Credentials)}

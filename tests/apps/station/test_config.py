@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from m100link.apps.station.config import LAUNCH_NAMES, Settings, resolve
+from m100link.apps.station.config import LAUNCH_NAMES, Settings, Video, resolve
 from m100link.errors import BadKey, UsageError
 
 KEY = "00112233445566778899aabbccddeeff" * 2
@@ -229,3 +229,54 @@ def test_the_domain_of_ros_is_looked_at_by_who_speaks_ros(tmp_path: Path) -> Non
     found = resolve({}, right, config=path)
     assert (found.ros2_domain, found.origins["ros2_domain"]) == (7, "environment")
     assert resolve({"ros2_domain": 5}, right, config=path).ros2_domain == 5
+
+
+# -- videos ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("url", "kind", "origin"),
+    [
+        ("http://192.168.1.20:8080/?action=stream", "mjpeg", "http://192.168.1.20:8080"),
+        ("http://Camera.test/front/whep?key=a=b", "whep", "http://camera.test"),
+        ("https://[fe80::1]:8889/rtc/v1/WHEP/", "whep", "https://[fe80::1]:8889"),
+    ],
+)
+def test_a_video_has_a_kind_and_an_origin(url: str, kind: str, origin: str) -> None:
+    assert Settings(video=(url,)).videos([""]) == {"": Video(kind, url, origin)}
+    assert Settings(video=(f"kite={url}",)).videos(["kite", "crow"])["kite"].url == url
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        "",
+        "camera",
+        "rtsp://camera/stream",
+        "file:///etc/passwd",
+        "javascript:alert(1)",
+        "data:text/html,x",
+        "http://",
+        "http:///path",
+        "http://camera:port/",
+        "http://camera:99999/",
+        "http://[::1/",
+        "http://a b/",
+        "http://camera;script-src/x",
+        "http://camera,other/x",
+        "http://*/x",
+        "http://anna:hunter2@camera/x",
+        "http://anna@camera/x",
+    ],
+)
+def test_an_address_that_is_no_video_is_refused_and_not_repeated(url: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        Settings(video=(url,)).videos([""])
+    assert "hunter2" not in str(caught.value)
+
+
+def test_a_video_belongs_to_an_aircraft() -> None:
+    for given in ("http://camera/x", "swan=http://camera/x"):
+        with pytest.raises(UsageError, match="a video is for"):
+            Settings(video=(given,)).videos(["kite", "crow"])
+    assert Settings().videos(["kite"]) == {}

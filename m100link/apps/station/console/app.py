@@ -8,7 +8,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING
 
 from fastapi import FastAPI
@@ -57,11 +57,14 @@ browser opens its socket within seconds.
 
 def console_app(
     agents: Mapping[str, AgentClient],
-    settings: Settings,  # who may connect, and the file with tiles
+    settings: Settings,  # who may connect, tiles and videos
     orders: Mapping[str, SimulatorOrders],
     tabs: Tabs | None = None,  # where its tabs are kept; of its own by default
 ) -> AccessControl:
-    """The application behind its gate."""
+    """The application behind its gate.
+
+    Raises ``UsageError``: a video cannot be one.
+    """
     app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
     tabs = tabs or Tabs(agents)
     histories: dict[str, PlotHistory] = {}
@@ -79,6 +82,7 @@ def console_app(
     app.mount("/console", Policy(StaticFiles(directory=STATIC)))
     tiles = MapTiles(settings.tiles)
     app.router.routes.append(Route("/tiles/{tile:path}", tiles))
+    videos = settings.videos(tuple(agents))
 
     async def page(client: Client, aircraft: str = "", moved: str = "") -> None:
         key, tab = tabs.open(aircraft, moved)
@@ -89,6 +93,7 @@ def console_app(
             tab,
             orders.get(tab.aircraft),
             tiles=tiles,
+            video=videos.get(tab.aircraft),
             history_of=history_of,
             tabs=tabs,
         )
@@ -99,7 +104,8 @@ def console_app(
     nicegui_app.config.quasar_config["loadingBar"]["skipHijack"] = True
     ui.page("/", title="m100link", viewport=_VIEWPORT, response_timeout=_RECONNECT_S)(page)
     _log_nothing_of_strangers()
-    nicegui_app.add_middleware(Policy)  # it reads a page: before what compresses it
+    origins = sorted({video.origin for video in videos.values()})
+    nicegui_app.add_middleware(Policy, videos=origins)  # it reads a page: before what compresses it
     ui.run_with(
         app, title="m100link", dark=None, show_welcome_message=False, reconnect_timeout=_RECONNECT_S
     )
@@ -141,6 +147,7 @@ async def _forget(sender: str, message: object) -> None:
 
 
 # -- content security policy -----------------------------------------------------------------------
+# Beside the station's own, a page reaches the origins of the videos that the user named.
 # The browser runs scripts of the station's own files, and those in the page as the station sent it:
 # the header has the hash of each. It does not run scripts that get into a page later, such as a
 # handler in an attribute or a ``<script>`` in a text.
@@ -151,18 +158,19 @@ _INLINE = re.compile(rb"<script\b(?![^>]*\ssrc\s*=)[^>]*>(.*?)</script>", re.DOT
 
 _RULES = (
     "default-src 'self'; base-uri 'none'; form-action 'none'; frame-src 'none'; object-src 'none'; "
-    "frame-ancestors 'none'; img-src 'self' data: blob:; media-src 'self' data: blob:; "
+    "frame-ancestors 'none'; img-src 'self' data: blob:{videos}; media-src 'self' data: blob:; "
     # Looks alone: attributes of style are everywhere in it.
     "font-src 'self' data:; style-src 'self' 'unsafe-inline'; "
-    "connect-src 'self'{sockets}; script-src 'self' 'unsafe-eval'{hashes}"
+    "connect-src 'self'{sockets}{videos}; script-src 'self' 'unsafe-eval'{hashes}"
 )
 
 
 class Policy:
     """An ASGI application whose pages carry the policy."""
 
-    def __init__(self, app: ASGIApp) -> None:
+    def __init__(self, app: ASGIApp, videos: Iterable[str] = ()) -> None:
         self._app = app
+        self._videos = "".join(f" {origin}" for origin in videos)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass a request on; keep a page until it is whole."""
@@ -183,7 +191,9 @@ class Policy:
                 if message.get("more_body", False):
                     return
                 headers = MutableHeaders(raw=start["headers"])
-                headers["content-security-policy"] = _rules(bytes(body), Headers(scope=scope))
+                headers["content-security-policy"] = _rules(
+                    bytes(body), Headers(scope=scope), self._videos
+                )
                 await send(start)
                 message = {"type": "http.response.body", "body": bytes(body)}
             await send(message)
@@ -196,9 +206,9 @@ def _is_page(start: Message) -> bool:
     return kind.startswith("text/html")
 
 
-def _rules(page: bytes, asked: Headers) -> str:
+def _rules(page: bytes, asked: Headers, videos: str) -> str:
     found = (hashlib.sha256(script).digest() for script in _INLINE.findall(page))
     hashes = "".join(f" 'sha256-{base64.b64encode(one).decode()}'" for one in found)
     # Not every browser takes 'self' for a socket of the same host. The gate has checked the name.
     host = asked.get("host", "")
-    return _RULES.format(sockets=f" ws://{host} wss://{host}", hashes=hashes)
+    return _RULES.format(sockets=f" ws://{host} wss://{host}", hashes=hashes, videos=videos)

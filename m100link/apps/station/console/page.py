@@ -17,6 +17,7 @@ from nicegui import ui
 from starlette.responses import FileResponse, Response
 
 from m100link.apps.agent.client import AgentClient
+from m100link.apps.station.config import Video
 from m100link.apps.station.console.components.component import (
     Buttons,
     Component,
@@ -84,6 +85,7 @@ class Page:
         orders: SimulatorOrders | None,  # of the panel to a virtual aircraft, or None
         *,
         tiles: MapTiles,  # the pictures below the map
+        video: Video | None = None,  # that is shown beside the map
         history_of: Callable[[str], PlotHistory],  # what was flown, by the name of an aircraft
         tabs: Tabs,  # who looks at this and at other aircraft
     ) -> None:
@@ -101,6 +103,7 @@ class Page:
             tiles,
             history_of,
             tabs,
+            video,
         )
         self._sections: dict[str, ui.element] = {}
         self._header: list[Component] = []

@@ -18,7 +18,7 @@ pytestmark = pytest.mark.anyio
 HOST = "127.0.0.1:8080"
 
 
-async def rules_of(response: Response) -> tuple[dict[str, list[str]], bytes]:
+async def rules_of(response: Response, *videos: str) -> tuple[dict[str, list[str]], bytes]:
     """The policy of an answer, by its directives, and the answer's body."""
     sent: list[Any] = []
 
@@ -30,7 +30,7 @@ async def rules_of(response: Response) -> tuple[dict[str, list[str]], bytes]:
 
     scope: dict[str, Any] = {"type": "http", "method": "GET", "path": "/", "query_string": b""}
     scope |= {"headers": [(b"host", HOST.encode())], "asgi": {"spec_version": "2.4"}}
-    await Policy(response)(scope, receive, send)
+    await Policy(response, videos)(scope, receive, send)
     told = dict(sent[0]["headers"]).get(b"content-security-policy", b"").decode()
     pairs = (part.split() for part in told.split(";") if part.strip())
     body = b"".join(message.get("body", b"") for message in sent[1:])
@@ -56,6 +56,15 @@ async def test_scripts_of_the_page_as_it_was_sent_run_and_no_others() -> None:
     for name in ("base-uri", "form-action", "frame-src", "object-src", "frame-ancestors"):
         assert rules[name] == ["'none'"]
     assert body.decode() == page
+
+
+async def test_a_page_reaches_the_origins_of_videos_for_pictures_and_connections_alone() -> None:
+    camera = "http://camera.test:8889"
+    plain, _ = await rules_of(HTMLResponse("<p>"))
+    rules, _ = await rules_of(HTMLResponse("<p>"), camera)
+    for name in ("img-src", "connect-src"):
+        assert rules.pop(name) == [*plain.pop(name), camera]
+    assert rules == plain
 
 
 async def test_a_page_in_pieces_is_judged_as_a_whole() -> None:

@@ -14,6 +14,7 @@ from nicegui.events import GenericEventArguments
 
 from m100link.apps.agent.client import PRESSED_AT, AgentClient
 from m100link.apps.agent.orders import ChangeHeight, OrderReplay, TakeOff
+from m100link.apps.station.config import Video
 from m100link.apps.station.console.kept import PlotHistory
 from m100link.apps.station.console.orders import SimulatorOrders
 from m100link.apps.station.console.tab import Tab
@@ -372,6 +373,7 @@ class PageContext:
     tiles: MapTiles  # the pictures below the map, under ``/tiles/{zoom}/{column}/{row}``
     history_of: Callable[[str], PlotHistory]  # what was flown, by the name of an aircraft
     tabs: Tabs  # who looks at this and at other aircraft
+    video: Video | None = None  # that is shown beside the map
 
     @property
     def history(self) -> PlotHistory:

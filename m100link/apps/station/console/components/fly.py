@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+import math
+import time
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -17,6 +20,7 @@ from m100link.apps.agent.orders import (
     TurnGimbal,
     UseCamera,
 )
+from m100link.apps.station.config import Video
 from m100link.apps.station.console.components import component
 from m100link.apps.station.console.components.map import ClickPart
 from m100link.apps.station.console.view import fly
@@ -26,6 +30,7 @@ from m100link.protocol.commands.gimbal import GimbalAngle, GimbalAngleMode, Gimb
 from m100link.protocol.records import Attitude, Gimbal
 
 _TOOLS = (("horizon", "explore"), ("sticks", "gamepad"), ("camera", "photo_camera"))
+_VIDEO = (("video", "videocam"),)
 """The panels that fold: the page does it by itself, and keeps what was chosen."""
 
 
@@ -34,7 +39,7 @@ class PreparedPart:
 
     def __init__(self, page: component.PageContext) -> None:
         with _place("tools") as tools:
-            for name, icon in _TOOLS:
+            for name, icon in (*_TOOLS, *(_VIDEO if page.video is not None else ())):
                 page.wording.tool(f"page.fold.{name}", icon, f"data-fold={name}")
         with _place("prepared"):
             self._click, self._ground = ClickPart(page, tools), GroundPart(page)
@@ -108,6 +113,36 @@ _LOOK_S = 0.5  # in which the gimbal comes to an angle
 _PITCH_DEG = (-90.0, 30.0)
 
 
+_NOTED_S = 1.0  # between two notes of one page in the log
+
+
+def _build_video(page: component.PageContext, video: Video) -> None:
+    """The frame in which the smaller of map and video stands; a tap lets them change places."""
+    with ui.element("button").props("id=video type=button aria-pressed=false") as frame:
+        pass
+    page.wording.put(component.attribute(frame), "page.video_swap")
+    asked = json.dumps({"kind": video.kind, "url": video.url})
+    ui.run_javascript(f'import("/console/pictures.js").then((one) => one.showVideo({asked}))')
+    noted = [-math.inf]
+
+    def note(event: events.GenericEventArguments) -> None:
+        """The log has the origin alone: what follows it may be secret."""
+        now = time.monotonic()
+        said = _VIDEO_STATES.get(str(event.args))
+        if said is not None and now - noted[0] >= _NOTED_S:
+            noted[0] = now
+            page.agent.note(f"video of {video.origin}: {said}")
+
+    ui.on("video_told", note)
+
+
+_VIDEO_STATES = {
+    "live": "a page shows it",
+    "undated": "a page shows it, its age is unknown",
+    "old": "a page gets no picture",
+}
+
+
 class HudPart:
     """The drawing of attitude, speed and height, which the socket feeds, and the camera."""
 
@@ -118,6 +153,8 @@ class HudPart:
         wording, add = page.wording, page.buttons.add
         # It scrolls where a phone has no room for both: by keys, too, with all its buttons grey.
         with _place("hud").props("tabindex=0 role=group") as hud:
+            if page.video is not None:
+                _build_video(page, page.video)
             horizon = ui.element("canvas").props("id=horizon role=img")
         wording.put(component.attribute(hud), "page.fold.horizon")
         wording.put(component.attribute(horizon), "instruments.horizon")

@@ -56,6 +56,8 @@ class MapPart:
             self.leaflet = FlightMap(zoom=18, options=options | {"keyboard": False})
             self.leaflet.props(f"id=map data-vue={self.leaflet.id}").classes("map")
             self.leaflet.clear_layers()  # the tiles of the Internet
+        if page.video is not None:
+            ui.element("div").props("id=picture")
         with ui.element("div").classes("map-tools"):
             for what, icon in _TOOLS:
                 page.wording.tool(f"page.map.{what}", icon, f"data-map={what}")

@@ -237,10 +237,11 @@ export class FlightMap {
     // With a point that somebody aims at, the middle between the two.
     const between = this.aimed ? this.leaflet.latLngToContainerPoint(this.aimed).subtract(at).divideBy(2) : {x: 0, y: 0};
     const within = (value, room) => Math.max(-room, Math.min(room, value));
-    const target = this.isHeadingUp ? size.divideBy(2)
+    const isCentred = this.isHeadingUp || size.x < view.width / 2;  // small, beside a video
+    const target = isCentred ? size.divideBy(2)
       : window.L.point(x - within(between.x, wide / 2 - EDGE), y - within(between.y, high / 2 - EDGE));
     const off = at.subtract(target), part = this.aimed ? 8 : 4;
-    const slack = this.isHeadingUp ? [2, 2] : [wide / part, high / part];
+    const slack = isCentred ? [2, 2] : [wide / part, high / part];
     if (Math.abs(off.x) > slack[0] || Math.abs(off.y) > slack[1])
       this.leaflet.panBy(off, {animate: !isStill.matches && !this.isHeadingUp && off.distanceTo([0, 0]) < size.y / 2, duration: 0.4});
   }

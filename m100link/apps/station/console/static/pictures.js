@@ -1,6 +1,6 @@
-// Tiles below the map.
+// Pictures: tiles below the map, and a live video that changes places with it by one tap.
 
-import {onChoose, words} from "./said.js";
+import {number, onChoose, words} from "./said.js";
 import {m100} from "./shell.js";
 
 const find = (selector) => document.querySelector(selector);
@@ -33,4 +33,191 @@ export function showTiles({zooms, licence, version, fault}) {
     }
     tell();
   });
+}
+
+// -- video -----------------------------------------------------------------------------------------
+// It comes from where the user said, and never through the station. Its age is that of the newest
+// picture here; how long it was on its way nobody can tell.
+
+const LIVE_MS = 1500;       // younger than this a picture needs no age
+const GIVEN_UP_MS = 10000;  // without a picture: the stream is asked for anew
+const AGAIN_MS = 3000;
+const TELL_MS = 2000;       // between two words to the log
+const GATHER_MS = 1000;
+const MOST_BYTES = 8e6;     // of a picture
+
+const sleep = (time) => new Promise((done) => setTimeout(done, time));
+const ended = (signal) => new Promise((done) => signal.addEventListener("abort", done, {once: true}));
+const asking = {mode: "cors", credentials: "omit", cache: "no-store", referrerPolicy: "no-referrer"};
+
+// {kind: "mjpeg" or "whep", url}
+export function showVideo({kind, url}) {
+  const host = find("#picture"), frame = find("#video");
+  if (!host || !frame) return;
+  const text = Object.assign(document.createElement("span"), {className: "state"});
+  const shown = {at: null, isUndated: false, fate: "", stop: null, begunAt: 0};
+  const seen = () => { shown.at = performance.now(); shown.fate = ""; };
+  const put = (one) => { host.replaceChildren(one, text); return one; };
+  const isWanted = () => !document.hidden && frame.checkVisibility();
+  let told = "", toldAt = -Infinity;
+
+  const look = () => {
+    const now = performance.now(), age = shown.at === null ? Infinity : now - shown.at;
+    const isLive = age < LIVE_MS;
+    if (shown.stop && (!isWanted() || (!shown.isUndated && now - Math.max(shown.begunAt, shown.at ?? 0) > GIVEN_UP_MS)))
+      shown.stop.abort();
+    const old = shown.at === null ? "" : words("video_old", {age: number(age / 1000, 1)});
+    const fate = shown.fate || (shown.at === null ? words("video_begins") : "");
+    text.textContent = isLive ? "" : shown.isUndated ? words("video_undated") : `${fate} ${old}`.trim();
+    const state = isLive ? "live" : shown.isUndated ? "undated" : fate && !shown.fate ? "new" : "old";
+    host.dataset.state = state;
+    if (state === told || state === "new" || now - toldAt < TELL_MS || !isWanted()) return;
+    [told, toldAt] = [state, now];
+    window.emitEvent("video_told", state);
+  };
+
+  const play = async () => {
+    const stop = shown.stop = new AbortController();
+    shown.begunAt = performance.now();
+    shown.isUndated = false;
+    try {
+      if (kind === "whep") await whep(url, put, seen, stop.signal);
+      else await mjpeg(url, put, seen, shown, stop.signal);
+      shown.fate = words("video_ended");
+    } catch (error) {
+      if (!stop.signal.aborted) shown.fate = words("video_refused", {why: error.message});
+    }
+    stop.abort();
+    shown.stop = null;
+    shown.isUndated = false;
+  };
+
+  (async () => {
+    for (;;) {
+      if (isWanted()) await play();
+      await sleep(isWanted() ? AGAIN_MS : 250);
+    }
+  })();
+  setInterval(look, 250);
+  frame.addEventListener("click", () => frame.setAttribute("aria-pressed", document.body.classList.toggle("video-first")));
+  stayInFrame(host.parentElement, frame);
+}
+
+// Where the frame is, whichever of the two stands in it.
+function stayInFrame(view, frame) {
+  const place = frame.closest(".place");
+  const fit = () => {
+    const outer = view.getBoundingClientRect(), box = frame.getBoundingClientRect(), edge = place.getBoundingClientRect();
+    const all = {left: box.left - outer.left, top: box.top - outer.top, width: box.width, height: box.height,
+      over: Math.max(0, edge.top - box.top), under: Math.max(0, box.bottom - edge.bottom)};
+    for (const [name, value] of Object.entries(all)) view.style.setProperty(`--small-${name}`, `${value}px`);
+  };
+  const changes = new ResizeObserver(fit);
+  for (const one of [view, frame, place, ...place.children]) changes.observe(one);
+  place.addEventListener("scroll", fit);
+}
+
+async function whep(url, put, seen, signal) {
+  const peer = new RTCPeerConnection(), video = put(document.createElement("video"));
+  let session = null;
+  Object.assign(video, {muted: true, autoplay: true, playsInline: true});
+  const count = () => {
+    seen();
+    video.requestVideoFrameCallback(count);
+  };
+  if (video.requestVideoFrameCallback) video.requestVideoFrameCallback(count);
+  else video.addEventListener("timeupdate", seen);
+  try {
+    peer.addTransceiver("video", {direction: "recvonly"});
+    peer.addEventListener("track", ({track}) => { video.srcObject = new MediaStream([track]); });
+    const failed = new Promise((done) => peer.addEventListener("connectionstatechange",
+      () => ["failed", "closed"].includes(peer.connectionState) && done()));
+    await peer.setLocalDescription();
+    const gathered = new Promise((done) => peer.addEventListener("icecandidate", ({candidate}) => candidate || done()));
+    await Promise.race([gathered, sleep(GATHER_MS)]);
+    const headers = {"content-type": "application/sdp"};
+    const answer = await fetch(url, {...asking, signal, method: "POST", headers, body: peer.localDescription.sdp});
+    if (!answer.ok) throw new Error(`${answer.status} ${answer.statusText}`);
+    session = answer.headers.get("location");
+    await peer.setRemoteDescription({type: "answer", sdp: await answer.text()});
+    await Promise.race([failed, ended(signal)]);
+  } finally {
+    peer.close();
+    if (session) fetch(new URL(session, url), {...asking, method: "DELETE"}).catch(() => { /* it ends by itself */ });
+  }
+}
+
+async function mjpeg(url, put, seen, shown, signal) {
+  let answer;
+  try {
+    answer = await fetch(url, {...asking, signal});
+  } catch (error) {
+    if (signal.aborted) throw error;
+    return undated(url, put, shown, signal);  // it may be there, and let no page read it
+  }
+  if (!answer.ok) throw new Error(`${answer.status} ${answer.statusText}`);
+  const type = answer.headers.get("content-type") || "";
+  if (!type.startsWith("multipart/x-mixed-replace")) throw new Error(`"${type.slice(0, 40)}"`);
+  const canvas = document.createElement("canvas"), drawing = canvas.getContext("bitmaprenderer");
+  const reader = answer.body.getReader();
+  for (let rest = new Uint8Array(0); ;) {
+    const {done, value} = await reader.read();
+    if (done) return;
+    const {picture, left} = newest(joined(rest, value));
+    rest = left;
+    if (rest.length > MOST_BYTES) throw new Error(`> ${MOST_BYTES / 1e6} MB`);
+    if (!picture) continue;
+    // Decoded beside the page; what comes meanwhile waits, and only the newest is drawn.
+    const bitmap = await createImageBitmap(new Blob([picture]));
+    [canvas.width, canvas.height] = [bitmap.width, bitmap.height];
+    drawing.transferFromImageBitmap(bitmap);
+    if (!canvas.isConnected) put(canvas);
+    seen();
+  }
+}
+
+function joined(one, two) {
+  const whole = new Uint8Array(one.length + two.length);
+  whole.set(one);
+  whole.set(two, one.length);
+  return whole;
+}
+
+// The newest whole part of a multipart stream, and what came after it.
+function newest(data) {
+  let picture = null, left = data;
+  for (;;) {
+    const head = indexOf(left, "\r\n\r\n", 0);
+    if (head < 0) return {picture, left};
+    const said = /content-length:\s*(\d+)/i.exec(new TextDecoder("latin1").decode(left.subarray(0, head)));
+    const begin = head + 4, end = said ? begin + Number(said[1]) : indexOf(left, "\r\n--", begin);
+    if (end < 0 || end > left.length) return {picture, left};
+    picture = left.slice(begin, end);
+    left = left.subarray(end);
+  }
+}
+
+function indexOf(data, text, from) {
+  const bytes = [...text].map((one) => one.charCodeAt(0));
+  for (let at = data.indexOf(bytes[0], from); at >= 0; at = data.indexOf(bytes[0], at + 1))
+    if (bytes.every((byte, i) => data[at + i] === byte)) return at;
+  return -1;
+}
+
+// As an image of the browser, which needs no permission and tells nothing.
+async function undated(url, put, shown, signal) {
+  const image = new Image();
+  try {
+    await new Promise((done, failed) => {
+      image.onload = done;
+      image.onerror = () => failed(new Error(new URL(url).host));
+      signal.addEventListener("abort", done);
+      image.src = url;
+    });
+    put(image);
+    shown.isUndated = true;
+    await ended(signal);
+  } finally {
+    image.src = "";
+  }
 }

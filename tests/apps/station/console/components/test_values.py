@@ -8,6 +8,7 @@ from __future__ import annotations
 import inspect
 import json
 import math
+import time
 from collections.abc import Callable, Generator, Iterator
 from contextlib import suppress
 from dataclasses import replace
@@ -23,6 +24,7 @@ from nicegui.events import GenericEventArguments
 from nicegui.page import page as page_of_nicegui
 
 from m100link.apps.agent import orders
+from m100link.apps.station.config import Video
 from m100link.apps.station.console.components import fly, header, plan, settings
 from m100link.apps.station.console.components.component import Buttons, PageContext, Wording
 from m100link.apps.station.console.components.map import ClickPart, MapPart
@@ -1221,3 +1223,21 @@ def test_a_take_off_goes_to_the_height_that_was_typed(
     here.type("take-off-height", 7.0)
     here.type("take-off-height", typed)
     assert here.page.memory.checklist.height == height
+
+
+async def test_the_log_has_the_origin_of_a_video_and_few_words(
+    here: Here, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    here.page = replace(here.page, video=Video.of("http://camera.test:8080/s?key=secret"))
+    here.make(fly.HudPart)
+    now = 100.0
+    monkeypatch.setattr(time, "monotonic", lambda: now)
+    here.notes.clear()
+    layout, name = here.client.layout, "video of http://camera.test:8080"
+    for said in ("live", "old", "<b>", ["live"], None):  # all at once
+        await here.event(layout, "video_told", said)
+    assert here.notes == [("note", f"{name}: a page shows it")]
+    now += 1.0
+    await here.event(layout, "video_told", "old")
+    assert here.notes[1:] == [("note", f"{name}: a page gets no picture")]
+    assert here.find(id="video").tag == "button"
