@@ -9,8 +9,9 @@ from typing import Any, cast
 
 import pytest
 
-from m100link import AckTimeout, CommandRefused, M100Error, OutOfResources, UsageError
+from m100link import AckTimeout, BadPlan, CommandRefused, M100Error, OutOfResources, UsageError
 from m100link.errors.base import of_the_system
+from m100link.errors.usage import renamed
 from tests.test_house import PACKAGE
 
 
@@ -84,3 +85,19 @@ def test_no_text_asks_whether_an_exception_is_true() -> None:
     """It always is, also one that says nothing, as a TimeoutError: its text may be empty."""
     always = re.compile(r"\{(error|exc|failure|raised) or ")
     assert not [p.name for p in PACKAGE.rglob("*.py") if always.search(p.read_text("utf-8"))]
+
+
+def test_the_problems_of_a_plan_are_all_of_them_this_first() -> None:
+    others = BadPlan("too far", point=2), BadPlan("too fast", point=7)
+    whole = BadPlan("too high", point=0, others=others)
+    assert whole.problems == (whole, *others)
+    assert others[0].problems == others[:1]
+
+
+def test_a_name_of_before_warns_where_it_is_used() -> None:
+    look = renamed(__name__, Before="BadPlan")
+    with pytest.warns(DeprecationWarning, match=r"test_base\.Before is BadPlan now") as told:
+        assert look("Before") is BadPlan
+    assert [one.filename for one in told] == [__file__]
+    with pytest.raises(AttributeError, match="no attribute 'Never'"):
+        look("Never")
