@@ -122,3 +122,11 @@ def test_an_app_id_of_few_bytes_is_not_looked_for_in_telemetry() -> None:
 
 def test_a_frame_behind_bytes_that_are_not_one_is_found() -> None:
     assert APP_ID not in Redaction().sent(b"x\xaa" + FRAME, 0.0)
+
+
+@pytest.mark.parametrize(("count", "is_blanked"), [(0, False), (3, False), (4, True), (5, True)])
+def test_four_bytes_are_an_app_id_and_fewer_are_none(count: int, is_blanked: bool) -> None:
+    frame = encode_frame(b"\x00\x01" + b"\x7a\x3c\x91\xe5\x07"[:count], session=2, sequence=1)
+    redaction = Redaction()
+    assert (redaction.sent(frame, 0.0) != frame) is is_blanked
+    assert redaction.count == int(is_blanked)
