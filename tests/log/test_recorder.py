@@ -437,3 +437,17 @@ async def test_a_connection_ends_although_its_disk_hangs(
     goes_on.set()
     record._thread.join(PATIENCE)
     assert not record._thread.is_alive()
+
+
+async def test_each_tenth_of_a_second_what_was_noted_goes_to_the_thread(tmp_path: Path) -> None:
+    """A process that is killed loses a batch, and not the flight: the timer goes on."""
+    log, clock = Recorder(tmp_path / "flight.mcap"), asyncio.get_running_loop().time
+    for _ in range(3):
+        log.tap(Direction.RECEIVED, b"bytes", clock())
+        await asyncio.sleep(0.09)
+        assert len(log._batch.chunks) == 1
+        await asyncio.sleep(0.02)
+        assert log._batch.chunks == []
+        await asyncio.sleep(0.09)
+    await log.aclose()
+    assert b"".join(one.data for one in read(log.path).chunks()) == b"bytes" * 3
