@@ -466,3 +466,27 @@ async def test_the_error_says_what_is_asked_for_and_what_is_flown() -> None:
                 async for _ in control.ticks():
                     control.send(NORTH)
         assert "no-fly zone" in str(found.value)
+
+
+@pytest.mark.parametrize("asked", ["velocity", "climb", "turn", "tilt"])
+def test_a_slow_line_has_its_time_besides(asked: str) -> None:
+    """What an order takes to show is no disobedience: here 0.8 s more."""
+    stand = Stand()
+    stand.check = FollowCheck(
+        cast(AircraftState, stand), lambda: stand.setpoint, lambda: stand.now, lambda: 0.8
+    )
+    stand.setpoint = IGNORED[asked]
+    assert stand.fly(FOLLOW_S + 0.7) == ""
+    assert stand.fly(0.3) != ""
+
+
+def test_a_pause_between_two_looks_counts_as_half_a_second_without_a_velocity() -> None:
+    """A program that stood still for ten seconds has sent no setpoint meanwhile."""
+    stand = Stand()
+    stand.setpoint, stand.velocity = NORTH, None  # 3 m/s: half a second of it are 1.5 m
+    assert stand.check.look() == ""
+    for _ in range(6):
+        stand.now += 10.0
+        assert stand.check.look() == ""
+    stand.now += 10.0
+    assert stand.check.look() != "", "ten metres"
