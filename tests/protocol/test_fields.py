@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
+from types import SimpleNamespace
 from typing import Any, ClassVar
 
 import pytest
 
-from m100link.errors import BadValue
+from m100link.errors import BadValue, LayoutMismatch
+from m100link.protocol import fields as parts
 from m100link.protocol.fields import (
     Layout,
     Nibbles,
@@ -19,6 +21,9 @@ from m100link.protocol.fields import (
     latitude,
     longitude,
 )
+from m100link.protocol.firmware import PROFILES
+from m100link.protocol.packet import TelemetryPacket
+from tests.known import package
 
 
 @dataclass(frozen=True)
@@ -141,3 +146,22 @@ def test_single_numbers_are_found_by_their_names_the_halves_of_a_byte_too() -> N
         "low": (0, 15),
         "high": (0, 15),
     }
+
+
+def test_words_halves_and_places_end_where_the_documents_end_them() -> None:
+    """A number behind the last word is shown as it came; a half has four bits, a latitude 90°."""
+    layout = parts.Layout(parts.Number("kind", words=("a", "b")), parts.Nibbles("low", "high"))
+    for value, shown in ((1, "b"), (2, 2), (255, 255)):
+        record = SimpleNamespace(**layout.read(bytes((value, 0x9F))))
+        assert layout.shown(record) == {"kind": shown, "low": 15, "high": 9}
+    assert parts.latitude().bounds == (-math.pi / 2, math.pi / 2)
+    assert parts.longitude().bounds == (-math.pi, math.pi)
+
+
+@pytest.mark.parametrize("change", [-1, 1])
+def test_a_package_is_as_long_as_its_flags_say_however_often_they_were_seen(change: int) -> None:
+    whole = package("3.1")
+    assert TelemetryPacket(whole, PROFILES["3.1"]).value == whole
+    wrong = whole[:-1] if change < 0 else whole + b"\0"
+    with pytest.raises(LayoutMismatch):
+        TelemetryPacket(wrong, PROFILES["3.1"])
