@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import json
 import math
+import struct
 from pathlib import Path
 from typing import Any, cast
+from unittest.mock import patch
 
 import pytest
 from mcap.writer import Writer
 
 from m100link.log import read
+from m100link.log import story as story_module
 from m100link.log.reading import Message
 from m100link.log.story import (
     Curve,
@@ -22,6 +25,7 @@ from m100link.log.story import (
     _SampleReader,
     read_story,
 )
+from m100link.protocol.items import BY_RECORD
 from m100link.protocol.records import (
     Attitude,
     Battery,
@@ -205,10 +209,10 @@ def test_counters_of_the_line_are_differences_in_their_units(tmp_path: Path) -> 
 def test_a_listener_hears_setpoints_as_often_as_it_asks() -> None:
     heard: list[float] = []
     story = FlightSummary("made")
-    reader = _CommandReader(story, 100.0, 0.5, lambda at, _: heard.append(round(at, 3)))
+    reader = _CommandReader(story, 100.0, 0.5, lambda _, at, __: heard.append(round(at, 3)))
     data = json.dumps(sent(0.0, "move", 0)[2], separators=(",", ":")).encode()
     for step in range(12):
-        reader.hear(Message("/m100/command", 101.0 + step / 8, 0.0, data))
+        reader.hear_move(Message("/m100/command", 101.0 + step / 8, 0.0, data))
     reader.end()
     assert heard == [1.0, 1.5, 2.0]
     assert story.streams == [Span("move", 1.0, 2.375, "12 × move")]
@@ -216,19 +220,6 @@ def test_a_listener_hears_setpoints_as_often_as_it_asks() -> None:
 
 
 # -- telemetry -------------------------------------------------------------------------------------
-
-
-class Package:
-    """A package with some records; each class has a bit of its own."""
-
-    BITS = (FlightStatus, Position, Velocity, Attitude, Battery, ControlDevice)
-
-    def __init__(self, *records: Any) -> None:
-        self._records = {type(one): one for one in records}
-        self.flags = sum(1 << self.BITS.index(kind) for kind in self._records)
-
-    def get(self, kind: type[Any]) -> Any:
-        return self._records.get(kind)
 
 
 def heard(
@@ -239,8 +230,13 @@ def heard(
 ) -> FlightSummary:
     story = FlightSummary("made", commands=list(commands))
     reader = _SampleReader(story, interval_s, None)
-    for at, records in packages:
-        reader.hear(at, cast(Any, Package(*records)))
+    made = {}  # packages with values that no frame could carry, by their bytes
+    for number, (_, records) in enumerate(packages):
+        flags = sum(1 << BY_RECORD[type(one)].bit for one in records)
+        made[struct.pack("<HH", flags, number)] = {type(one): one for one in records}
+    values = [(value, at) for value, (at, _) in zip(made, packages, strict=True)]
+    with patch.object(story_module, "Sample", lambda value, *_: made[value]):
+        reader.hear(values, 0.0, cast(Any, None))
     story.duration_s = packages[-1][0] if ends_s is None else ends_s
     reader.end()
     return story
@@ -387,7 +383,6 @@ def test_a_quick_look_takes_new_items_at_once_and_others_by_its_interval() -> No
     story = heard(*readings, interval_s=0.5)
     assert [value for _, value in story.curves.height_m.points()] == [
         0.0,
-        99.0,
         4.0,
         8.0,
         12.0,

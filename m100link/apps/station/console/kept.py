@@ -434,7 +434,7 @@ async def analysed(path: str, firmware: str) -> AsyncIterator[Recorded | str]:
         stdout=asyncio.subprocess.PIPE,
     )
     assert process.stdout is not None
-    found: Recorded | str | None = None
+    found: Recorded | str = ""
     try:
         with suppress(asyncio.IncompleteReadError):
             while True:
@@ -442,7 +442,7 @@ async def analysed(path: str, firmware: str) -> AsyncIterator[Recorded | str]:
                 found = pickle.loads(await process.stdout.readexactly(size))  # of our own process
                 yield found
         await process.wait()
-        if found is None or (isinstance(found, Recorded) and not found.is_whole):
+        if not found or (isinstance(found, Recorded) and not found.is_whole):
             yield f"the process that read {path} ended with {process.returncode}"
     finally:
         if process.returncode is None:

@@ -531,6 +531,7 @@ def telling(**changed: Any) -> Any:
     agent.holding.limits = GuardLimits(50.0, 150.0, 10.0, 20, 52.0, 4.3)
     flying = agent.holding.flying
     flying.seen_task, flying.pattern = "land", "simple task 1"
+    flying.is_steered, agent.steered_at = True, 49.75
     flying.guiding.current.return_value = orders.GuidedFlight("flight", 52.0, 4.3)
     agent.leases.remaining.side_effect = lambda at: 52.5 - at
     agent.leases.holder.return_value = None
@@ -559,6 +560,7 @@ async def test_the_state_has_each_number_in_its_place() -> None:
         activation_code=int(ActivationCode.SUCCESS),
         holding="held",
         has_authority=True,
+        setpoint_age=0.25,
         task="land",
         pattern="simple task 1",
         guided=orders.GuidedFlight("flight", 52.0, 4.3),
@@ -630,6 +632,7 @@ COUNTED = (
         *("connection.state", "connection.error", "connection.aircraft.is_activated"),
         *("activation.code", "activation.error", "holding.state", "holding.has_authority"),
         *("holding.flying.seen_task", "holding.flying.pattern", "holding.flying.guiding.order"),
+        "holding.flying.is_steered",
         "connection.aircraft.mission",
     ],
 )
@@ -647,6 +650,7 @@ async def test_each_change_of_the_state_is_told_at_once_and_once(name: str) -> N
         "activation.error": UsageError("x"),
         "holding.state": HoldingState.NONE,
         "holding.has_authority": False,
+        "holding.flying.is_steered": False,
         "connection.aircraft.mission": MissionState(),
     }
     *places, last = name.split(".")

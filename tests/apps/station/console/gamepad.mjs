@@ -23,7 +23,7 @@ globalThis.document = {
 const {gamepads, mapping, read} = await import(`${folder}/gamepad.js`);
 const {Steering} = await import(`${folder}/steer.js`);
 now += 2000;  // the page has been looked at
-const steering = new Steering(element, {send: (message) => notes.push(message)});
+const steering = new Steering(element, {send: (message) => notes.push(message), fateSince: () => "sent"});
 
 const pressed = (numbers) => Array.from({length: 17}, (_, i) => ({pressed: numbers.includes(i)}));
 const result = JSON.parse(steps).map(({view, axes, buttons, is_there = true, map, mode, focus = true}) => {
