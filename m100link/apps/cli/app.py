@@ -79,8 +79,6 @@ _ROWS = {
             *("map download", "", f"{_TILES} 52.1,4.31 --attribution '© Anna'"),
             f"{_TILES} 52.1,4.31 52.11,4.33 --max-zoom 18 --attribution '© Anna'",
         ),
-        ("map import", "", "field.mbtiles", "field.mbtiles --attribution '© Anna'"),
-        ("map info", "", "", "--json"),
         ("mavlink", "serve", "sim://", "lab-m100 --to udp://127.0.0.1:14540"),
         ("ros2", "serve", "sim://", "lab-m100 --namespace /drones --dji-names"),
         ("fleet", "fleet_verbs:app", "", ""),

@@ -23,6 +23,7 @@ from urllib.parse import urlsplit
 from cyclopts import Parameter, validators
 
 import m100link
+from m100link.apps.cli.common import out
 from m100link.apps.cli.options import Above0, AsJson, Counted, attribute_texts, group
 from m100link.apps.cli.plan import degrees
 from m100link.apps.cli.terminal import ExitCode, print_json, wants_json
@@ -33,7 +34,6 @@ from m100link.apps.station.web.tiles import (
     Tile,
     default_tiles,
     licence_of,
-    open_to_read,
     picture_type,
     read_metadata,
     tile_at,
@@ -41,14 +41,13 @@ from m100link.apps.station.web.tiles import (
 from m100link.errors import Unreachable, UsageError
 from m100link.geodesy import LocalFrame
 
-app = group("map", "Fetch and import tiles for the console's map, before the flight.")
+app = group("map", "Fetch tiles for the console's map, before the flight.")
 
 _CONNECTIONS = 2  # as many as OpenStreetMap's policy for tiles takes well
 _AT_ONCE = 16  # tiles that are written together
 _SILENCE_S = 15.0  # in which a server has to send something
 _TRIES = 3
 _LONGEST_PAUSE_S = 60.0
-_READ_S = 600.0  # for all tiles of a file
 _DEGREE_M = 111_320.0  # of latitude, and of longitude at the equator
 
 Zoom = Annotated[int, Parameter(validator=validators.Number(gte=0, lte=MOST_ZOOM))]
@@ -135,7 +134,8 @@ def download(
     allow to fetch an area: many do not.
 
     Args:
-        url: Address with {z}, {x} and {y}, or {-y} for rows from the south (TMS).
+        url: Address with {z}, {x} and {y}, or {-y} for rows from the south (TMS). A folder of files
+            is one, too: file:///home/me/tiles/{z}/{x}/{y}.png.
         area: Places in the area, each LATITUDE,LONGITUDE: tiles of the box around them.
         attribution: Licence text of the provider; the map shows it.
         margin: Metres around the places.
@@ -171,14 +171,20 @@ def download(
                 sys.stderr.write("\n")
                 if count["stored"] or count["present"]:
                     _describe(file, licence)
-    return _report(path, dict(count), as_json=wants_json(json))
+    if wants_json(json):
+        print_json({"file": str(path), "attribution": licence, **count})
+    else:
+        done = ", ".join(f"{number} {name}" for name, number in count.items())
+        out.print(f"{path}: {done}", markup=False)
+    return ExitCode.OK
 
 
 def _server_of(url: str) -> str:
     """The server of a template. Raises UsageError: it cannot be one."""
     names = set(re.findall(r"\{([^}]*)\}", url))
     parts = urlsplit(url)
-    if parts.scheme not in ("http", "https") or not parts.hostname:
+    server = "the folder" if parts.scheme == "file" else parts.hostname
+    if parts.scheme not in ("http", "https", "file") or not server:
         raise UsageError("the address of the tiles is none", remedy="https://host/{z}/{x}/{y}.png")
     if names not in ({"z", "x", "y"}, {"z", "x", "-y"}):
         raise UsageError(
@@ -186,7 +192,7 @@ def _server_of(url: str) -> str:
             remedy="it needs {z}, {x} and {y}; {-y} for rows from the south. For {s} write one of "
             "the provider's names",
         )
-    return parts.hostname
+    return server
 
 
 def _tiles_of(area: tuple[str, ...], margin: float, zooms: range, most: int) -> list[Tile]:
@@ -245,6 +251,8 @@ def _fetch(url: str, server: str, tile: Tile, stop: threading.Event) -> bytes | 
                 ) from error
             why, pause = f"{error.code} {error.reason}", error.headers.get("Retry-After", "")
         except (OSError, http.client.HTTPException) as error:
+            if isinstance(getattr(error, "reason", None), FileNotFoundError):
+                return None
             why, pause = f"{getattr(error, 'reason', error)}", ""
         if attempt < _TRIES:
             seconds = float(pause) if pause.isdecimal() else 2.0**attempt
@@ -264,126 +272,3 @@ def _body_of(answer: http.client.HTTPResponse) -> bytes:
         if time.monotonic() > until:
             raise TimeoutError("the answer does not end")
     return data
-
-
-# -- files -----------------------------------------------------------------------------------------
-
-
-@app.command(name="import")
-def import_(
-    source: Path,
-    /,
-    *,
-    attribution: str = "",
-    most: Annotated[int, Counted] = 100_000,
-    tiles: Tiles = None,
-    json: AsJson = None,
-) -> int:
-    """Copy tiles that you have into the file of the console's map.
-
-    Args:
-        source: An MBTiles file, or a folder of {z}/{x}/{y}.png (or .jpg, .webp). To show an MBTiles
-            file as it is, name it to the station: --tiles.
-        attribution: Licence text, if the file has none.
-        most: Refuse a source with more tiles.
-    """
-    path, count = tiles or default_tiles(), Counter({"stored": 0, "absent": 0})
-    read = _in_folder if source.is_dir() else _in_file
-    try:
-        with read(source) as (said, total, rows):
-            licence = licence_of({"attribution": attribution}) or licence_of(said)
-            if not licence:
-                raise UsageError(f"{source} names no licence", remedy="give its --attribution")
-            if total > most:
-                raise UsageError(
-                    f"{source} has {total} tiles: more than {most}",
-                    remedy=f"serve a file as it is: m100link console --tiles {source}",
-                )
-            with _writing(path) as file:
-                while some := list(islice(rows, 8 * _AT_ONCE)):
-                    found = [one for one in map(_checked, some) if one]
-                    _store(file, found)
-                    count["stored"] += len(found)
-                    count["absent"] += len(some) - len(found)
-                _describe(file, licence)
-    except (sqlite3.Error, OSError) as error:
-        raise UsageError(
-            f"{source} cannot be read as MBTiles: {error}", remedy="is it a file with raster tiles?"
-        ) from error
-    return _report(path, dict(count), as_json=wants_json(json))
-
-
-_Found = tuple[dict[str, str], int, Iterator[tuple[object, ...]]]
-"""Metadata, how many tiles there are, and a row of each."""
-
-
-@contextmanager
-def _in_file(source: Path) -> Iterator[_Found]:
-    with closing(open_to_read(source, _READ_S)) as file:
-        (total,) = file.execute("SELECT count(*) FROM tiles").fetchone()
-        rows = file.execute(
-            "SELECT zoom_level, tile_column, tile_row, "
-            "CASE WHEN length(tile_data) <= ? THEN tile_data END FROM tiles",
-            (MOST_BYTES,),
-        )
-        yield read_metadata(file), total, rows
-
-
-@contextmanager
-def _in_folder(source: Path) -> Iterator[_Found]:
-    number = re.compile(r"[0-9]{1,7}", re.ASCII)
-    files = [
-        (one, Tile(*map(int, names)))
-        for one in source.glob("*/*/*.*")
-        if one.is_file() and all(map(number.fullmatch, names := (*one.parts[-3:-1], one.stem)))
-    ]
-    rows = (
-        (*tile.stored, one.read_bytes() if one.stat().st_size <= MOST_BYTES else None)
-        for one, tile in files
-        if tile.exists
-    )
-    yield {}, len(files), rows
-
-
-def _checked(row: tuple[object, ...]) -> tuple[Tile, bytes] | None:
-    zoom, column, row_from_south, data = row
-    numbers = (zoom, column, row_from_south)
-    if not all(isinstance(one, int) and 0 <= one < 1 << MOST_ZOOM for one in numbers):
-        return None
-    if not isinstance(data, bytes) or picture_type(data) is None:
-        return None
-    stored = Tile(*(int(str(one)) for one in numbers))
-    tile = Tile(*stored.stored) if stored.zoom <= MOST_ZOOM else stored
-    return (tile, data) if tile.exists else None
-
-
-@app.command
-def info(*, tiles: Tiles = None, json: AsJson = None) -> int:
-    """Show what the file of the console's map holds."""
-    return _report(tiles or default_tiles(), {}, as_json=wants_json(json))
-
-
-def _report(path: Path, count: dict[str, int], *, as_json: bool) -> int:
-    try:
-        with closing(open_to_read(path, _READ_S)) as file:
-            said = read_metadata(file)
-            query = "SELECT zoom_level, count(*) FROM tiles GROUP BY zoom_level"
-            zooms = {int(zoom): int(tiles) for zoom, tiles in file.execute(query)}
-    except sqlite3.Error as error:
-        raise UsageError(
-            f"{path} cannot be read as MBTiles: {error}",
-            remedy="m100link map download and map import make one",
-        ) from error
-    licence = licence_of(said)
-    if as_json:
-        whole = {"file": str(path), "zooms": zooms, "attribution": licence}
-        print_json(whole | count)
-        return ExitCode.OK
-    from m100link.apps.cli.common import out
-
-    done = ", ".join(f"{number} {name}" for name, number in count.items())
-    for line in filter(None, (done, f"{path}: {sum(zooms.values())} tiles, {licence}")):
-        out.print(line, markup=False)
-    for zoom, tiles in zooms.items():
-        out.print(f"  zoom {zoom:2}  {tiles} tiles", markup=False)
-    return ExitCode.OK
