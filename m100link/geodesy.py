@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from typing import NamedTuple
 
 __all__ = [
     "DJI_EARTH_RADIUS_M",
@@ -395,3 +396,66 @@ def track_svg(places: Iterable[tuple[float, float]]) -> str:
         svg_text((side - _MARGIN, side + _FOOT - _MARGIN), "N ↑", "end"),
     )
     return svg((side, side + _FOOT), "The track from above, north up", parts)
+
+
+# -- ways ------------------------------------------------------------------------------------------
+
+_MOST_PLACES = 3000
+_LEAST_STEP_M = 0.1  # what moves less stands still
+_GAP_S = 2.0  # after a longer silence nobody knows how it came there
+
+
+class Place(NamedTuple):
+    """A place: time, s, metres north, east and up, and whether no silence was before it."""
+
+    at_s: float
+    north_m: float
+    east_m: float
+    height_m: float
+    is_joined: bool
+
+
+class Track:
+    """Places that were passed, each a step from the one before.
+
+    Attributes:
+        length_m: How long it is.
+        thinned: How often every second place was dropped, so far.
+    """
+
+    __slots__ = ("_heard_at_s", "_places", "_step_m", "length_m", "thinned")
+
+    def __init__(self) -> None:
+        self.length_m = 0.0
+        self.thinned = 0
+        self._step_m = _LEAST_STEP_M
+        self._places: list[Place] = []
+        self._heard_at_s = -math.inf
+
+    def add(self, at_s: float, north_m: float, east_m: float, height_m: float = 0.0) -> None:
+        """It was there at a time, s: joined to the earlier places, unless it was silent for 2 s."""
+        is_joined = at_s - self._heard_at_s <= _GAP_S
+        self._heard_at_s = at_s
+        new = Place(at_s, north_m, east_m, height_m, is_joined and bool(self._places))
+        if self._places:
+            step = _apart(self._places[-1], new)
+            if is_joined and step < self._step_m:
+                return
+            self.length_m += step
+        self._places.append(new)
+        if len(self._places) > _MOST_PLACES:
+            self._step_m *= 2.0
+            self.thinned += 1
+            kept = self._places[:1]
+            for place in self._places[1:]:
+                if not place.is_joined or _apart(kept[-1], place) >= self._step_m:
+                    kept.append(place)
+            self._places = kept[-_MOST_PLACES:]
+
+    def places(self, since: int = 0) -> list[Place]:
+        """The places in order, without the first so many."""
+        return self._places[since:]
+
+
+def _apart(one: Place, other: Place) -> float:
+    return math.hypot(other.north_m - one.north_m, other.east_m - one.east_m)

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import math
+import re
 from collections.abc import Callable, Coroutine, Generator, Iterable
+from dataclasses import asdict
+from enum import Enum
 from functools import partial
 from os import PathLike
 from typing import TYPE_CHECKING, Any, NoReturn, Protocol
@@ -19,6 +23,13 @@ from m100link.telemetry.sample import acceleration_mode
 
 if TYPE_CHECKING:
     from m100link.log.channels import Entry
+
+
+# The text of an error may quote its input: an address with its options, a key.
+_SECRET = re.compile(r"\b((?:key|app[-_ ]?id)[=: ]+)[^\s&,;]+", re.IGNORECASE)
+_KEY = re.compile(r"(?<![0-9a-f])[0-9a-f]{64}(?![0-9a-f])", re.IGNORECASE)
+
+COUNTERS_S = 1.0  # between two records of the counters of the link
 
 
 class Recording(Protocol):
@@ -188,16 +199,48 @@ async def _open(
 
 def be_recorded(aircraft: Aircraft, recorder: Recording) -> None:
     """Have a log, which hears the bytes already, know the rest; it ends with the connection."""
-    from m100link.aircraft.observer import observer
-
     known = aircraft._telemetry.acceleration
     recorder.watch(aircraft.link, lambda: aircraft.firmware, observer(aircraft), lambda: known.mode)
     aircraft._at_end.append(recorder.aclose)
 
 
+def observer(aircraft: Aircraft) -> Callable[[], list[Entry]]:
+    """The function that gives the log new records: each event, counters once a second."""
+    from m100link.log.channels import EVENT, LINK  # few programs record
+
+    events = aircraft.events()
+    counted_at = -math.inf
+
+    def look() -> list[Entry]:
+        nonlocal counted_at
+        entries: list[Entry] = []
+        while (event := events.get_nowait()) is not None:
+            kind = type(event).__name__.removesuffix("Event").lower()
+            values = {name: _plain(value) for name, value in event._asdict().items()}
+            entries.append((EVENT, {"event": kind, **values}))
+        now = aircraft.link.loop.time()
+        if now - counted_at >= COUNTERS_S:
+            counted_at = now
+            counters = asdict(aircraft.statistics())
+            known = {"firmware": aircraft.firmware.name, "acceleration": aircraft.acceleration_mode}
+            entries.append((LINK, {**known, **counters}))
+        return entries
+
+    return look
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, Enum):
+        return value.value
+    if value is None or isinstance(value, bool):
+        return value
+    text = _SECRET.sub(r"\1…", str(value))
+    return _KEY.sub("…", text)
+
+
 def _recorder(record: str | PathLike[str] | Recording) -> Recording:
     with of_the_system("a recording"):
-        from m100link.log.recorder import Recorder  # few programs record
+        from m100link.log.recorder import Recorder
 
     return Recorder(record) if isinstance(record, str | PathLike) else record
 

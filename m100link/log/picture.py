@@ -17,8 +17,8 @@ from statistics import fmean
 from typing import Any, NamedTuple
 
 from m100link.errors import UsageError
-from m100link.geodesy import MapView, svg_dot, svg_line, svg_text
-from m100link.log.story import Curve, FlightSummary, Place, Span
+from m100link.geodesy import MapView, Place, svg_dot, svg_line, svg_text
+from m100link.log.story import Curve, FlightSummary, Span
 
 # -- what is drawn of a flight, whether as a picture or as a page: panels, their curves, colour ----
 

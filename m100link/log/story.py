@@ -8,7 +8,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-from m100link.geodesy import LocalFrame
+from m100link.geodesy import LocalFrame, Track
 from m100link.log.channels import COMMAND, EVENT, LINK
 from m100link.log.reading import FlightLog, Message, Packages
 from m100link.protocol.firmware import FirmwareProfile, profile
@@ -37,9 +37,6 @@ from m100link.telemetry.sample import Sample
 
 
 _MOST_BUCKETS = 800
-_MOST_PLACES = 3000
-_LEAST_STEP_M = 0.1  # what moves less stands still
-_GAP_S = 2.0  # after a longer silence nobody knows how it came there
 
 
 class Curve:
@@ -88,62 +85,6 @@ class Curve:
             both = sorted({(least_at, least), (largest_at, largest)})
             yield from both
             last = end
-
-
-class Place(NamedTuple):
-    """A place: time, s, metres north, east and up, and whether no silence was before it."""
-
-    at_s: float
-    north_m: float
-    east_m: float
-    height_m: float
-    is_joined: bool
-
-
-class Track:
-    """Places that were passed, each a step from the one before.
-
-    Attributes:
-        length_m: How long it is.
-        thinned: How often every second place was dropped, so far.
-    """
-
-    __slots__ = ("_heard_at_s", "_places", "_step_m", "length_m", "thinned")
-
-    def __init__(self) -> None:
-        self.length_m = 0.0
-        self.thinned = 0
-        self._step_m = _LEAST_STEP_M
-        self._places: list[Place] = []
-        self._heard_at_s = -math.inf
-
-    def add(self, at_s: float, north_m: float, east_m: float, height_m: float = 0.0) -> None:
-        """It was there at a time, s: joined to the earlier places, unless it was silent for 2 s."""
-        is_joined = at_s - self._heard_at_s <= _GAP_S
-        self._heard_at_s = at_s
-        new = Place(at_s, north_m, east_m, height_m, is_joined and bool(self._places))
-        if self._places:
-            step = _apart(self._places[-1], new)
-            if is_joined and step < self._step_m:
-                return
-            self.length_m += step
-        self._places.append(new)
-        if len(self._places) > _MOST_PLACES:
-            self._step_m *= 2.0
-            self.thinned += 1
-            kept = self._places[:1]
-            for place in self._places[1:]:
-                if not place.is_joined or _apart(kept[-1], place) >= self._step_m:
-                    kept.append(place)
-            self._places = kept[-_MOST_PLACES:]
-
-    def places(self, since: int = 0) -> list[Place]:
-        """The places in order, without the first so many."""
-        return self._places[since:]
-
-
-def _apart(one: Place, other: Place) -> float:
-    return math.hypot(other.north_m - one.north_m, other.east_m - one.east_m)
 
 
 class HomePoint(NamedTuple):

@@ -21,7 +21,7 @@ import shlex
 import socket
 import tempfile
 from bisect import insort
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, get_type_hints
@@ -552,3 +552,51 @@ def _only_socket() -> Path:
         names = "".join(f"\n      --socket {path}" for path in found)
         raise NoSimulator("several simulators run", remedy=f"say which:{names}")
     return found[0]
+
+
+# -- orders of the panel of the console ------------------------------------------------------------
+
+
+class SimulatorOrders:
+    """Gives orders to a virtual aircraft, and keeps its last state."""
+
+    def __init__(
+        self, give: Callable[[list[str]], Awaitable[dict[str, Any]]], shown: dict[str, Any]
+    ) -> None:
+        self._give = give
+        # As :func:`status` has it, after the last order.
+        self.status = shown
+
+    async def give(self, *lines: str) -> None:
+        """Carry out orders, each a line of text.
+
+        Raises ``M100Error``: one cannot be carried out.
+        """
+        for line in lines:
+            self.status = await self._give(shlex.split(line))
+
+
+def orders_in_process(virtual: VirtualAircraft) -> SimulatorOrders:
+    """Orders to a virtual aircraft of this process."""
+
+    async def give(words: list[str]) -> dict[str, Any]:
+        perform(virtual, words)
+        return status(virtual)
+
+    return SimulatorOrders(give, status(virtual))
+
+
+async def orders_by_socket(path: Path) -> SimulatorOrders:
+    """Orders to the virtual aircraft behind a socket of :class:`CtlServer`.
+
+    Raises ``M100Error``: nobody answers there.
+    """
+
+    async def give(words: list[str]) -> dict[str, Any]:
+        answer = await asyncio.to_thread(send_order, words, path=path)
+        if not answer.get("ok"):
+            raise UsageError(str(answer.get("error", "the order was refused")))
+        shown: dict[str, Any] = answer["status"]
+        return shown
+
+    return SimulatorOrders(give, await give(["status"]))

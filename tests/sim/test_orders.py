@@ -13,7 +13,7 @@ from rich.console import Console
 
 from m100link.apps.cli.sim import KEYS, LiveView
 from m100link.apps.cli.terminal import read_keys
-from m100link.errors import UsageError
+from m100link.errors import M100Error, UsageError
 from m100link.protocol import Setpoint
 from m100link.protocol.commands.hotpoint import FollowStart
 from m100link.sim import LineFaults, VirtualAircraft
@@ -22,7 +22,10 @@ from m100link.sim.orders import (
     CtlServer,
     NoSimulator,
     Scenario,
+    SimulatorOrders,
     find_sockets,
+    orders_by_socket,
+    orders_in_process,
     perform,
     send_order,
     status,
@@ -379,3 +382,41 @@ def test_the_view_shows_commands_and_movements() -> None:
     text = rendered(LiveView(host.aircraft, []))
     assert "start_task -> 0x0002" in text
     assert "flag 0x48 (1.5, 0, 0, 0)" in text
+
+
+# -- orders of the panel of the console ------------------------------------------------------------
+
+
+@pytest.fixture
+def anyio_backend() -> str:
+    return "asyncio"
+
+
+async def is_obeyed(orders: SimulatorOrders, virtual: VirtualAircraft) -> None:
+    assert orders.status["rc_mode"] == "F"
+    await orders.give("rc-mode P", "gps 2")
+    assert virtual.remote.mode.name == "P"
+    assert (orders.status["rc_mode"], orders.status["gps_health"]) == ("P", 2)
+    with pytest.raises(M100Error, match="no action"):
+        await orders.give("dance")
+    await orders.give("rc-mode F")
+    assert orders.status["rc_mode"] == "F"
+
+
+@pytest.mark.anyio
+async def test_in_this_process() -> None:
+    virtual = VirtualAircraft(seed=5)
+    await is_obeyed(orders_in_process(virtual), virtual)
+
+
+@pytest.mark.anyio
+async def test_through_a_socket(tmp_path: Path) -> None:
+    virtual = VirtualAircraft(seed=5)
+    server = CtlServer([virtual], tmp_path / "orders.sock")
+    await server.start()
+    try:
+        await is_obeyed(await orders_by_socket(server.path), virtual)
+    finally:
+        await server.stop()
+    with pytest.raises(M100Error):
+        await orders_by_socket(tmp_path / "none.sock")

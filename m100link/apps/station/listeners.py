@@ -31,10 +31,10 @@ from m100link.apps.agent.background import goes_on
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.transports import Channel
 from m100link.apps.station.config import Settings
-from m100link.apps.station.console.orders import SimulatorOrders
 from m100link.apps.station.web.access_control import Access
 from m100link.apps.station.web.intake import Intake
 from m100link.errors import LinkError, M100Error, PortBusy, PortFailed, UsageError
+from m100link.sim.orders import SimulatorOrders
 
 REACH_PAUSE = 0.5  # seconds between two looks whether an agent that has gone is there again
 

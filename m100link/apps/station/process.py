@@ -23,10 +23,10 @@ from typing import Any
 from m100link.apps.agent.background import is_set_within
 from m100link.apps.agent.transports import connect_unix, serve_unix
 from m100link.apps.station.config import resolve
-from m100link.apps.station.console.orders import orders_by_socket
 from m100link.apps.station.listeners import Fronts, Sockets, serving_fronts
 from m100link.apps.station.log_output import log_of, tell_elsewhere
 from m100link.apps.station.supervisor import answer, end_with_parent, leave_what_stays, run_child
+from m100link.sim.orders import orders_by_socket
 
 LEASES_PER_START = 1_000_000
 """Numbers of leases that one process may use: the lease of one that died never fits another."""

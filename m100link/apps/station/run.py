@@ -24,7 +24,6 @@ from m100link.apps.agent.server.connection import Connect
 from m100link.apps.agent.server.replays import Replays
 from m100link.apps.agent.server.server import AgentServer
 from m100link.apps.station.config import MOST_AIRCRAFT, ONLY_NAME, Settings
-from m100link.apps.station.console.orders import orders_in_process
 from m100link.apps.station.listeners import (
     FRONTS,
     Fronts,
@@ -39,7 +38,7 @@ from m100link.geodesy import LocalFrame
 from m100link.log.folder import Flights, default_folder
 from m100link.protocol.commands.activation import Credentials
 from m100link.protocol.firmware import FIRMWARE_1_0
-from m100link.sim.orders import CtlServer
+from m100link.sim.orders import CtlServer, orders_in_process
 from m100link.sim.ports.driver import Driver
 from m100link.sim.vehicle.activation import DEMO_APP_ID, DEMO_KEY
 from m100link.sim.vehicle.settings import AircraftSettings

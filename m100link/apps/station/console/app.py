@@ -22,7 +22,6 @@ from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from m100link.apps.station.console.kept import PlotHistory
-from m100link.apps.station.console.orders import SimulatorOrders
 from m100link.apps.station.console.page import STATIC, Page, worker
 from m100link.apps.station.console.tabs import Tabs
 from m100link.apps.station.listeners import Fronts
@@ -30,6 +29,7 @@ from m100link.apps.station.web.access_control import AccessControl
 from m100link.apps.station.web.limits import PageRateLimit
 from m100link.apps.station.web.server import serve_http
 from m100link.apps.station.web.tiles import MapTiles
+from m100link.sim.orders import SimulatorOrders
 
 if TYPE_CHECKING:
     from m100link.apps.agent.client import AgentClient

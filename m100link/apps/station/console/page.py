@@ -48,13 +48,13 @@ from m100link.apps.station.console.components.map import MapPart
 from m100link.apps.station.console.components.plan import PlanPart
 from m100link.apps.station.console.components.settings import SettingsPart, load_settings
 from m100link.apps.station.console.kept import PlotHistory
-from m100link.apps.station.console.orders import SimulatorOrders
 from m100link.apps.station.console.tab import Tab
 from m100link.apps.station.console.tabs import Tabs
 from m100link.apps.station.console.view.situation import Inputs, RecordedFlight, Ship
 from m100link.apps.station.console.view.texts import for_browser
 from m100link.apps.station.console.view.view_model import Memory, ViewModel, view_of
 from m100link.apps.station.web.tiles import MapTiles
+from m100link.sim.orders import SimulatorOrders
 
 STATIC = Path(__file__).parent / "static"
 

@@ -16,7 +16,6 @@ from m100link.apps.agent.client import PRESSED_AT, AgentClient
 from m100link.apps.agent.orders import ChangeHeight, OrderReplay, TakeOff
 from m100link.apps.station.config import Video
 from m100link.apps.station.console.kept import PlotHistory
-from m100link.apps.station.console.orders import SimulatorOrders
 from m100link.apps.station.console.tab import Tab
 from m100link.apps.station.console.tabs import Tabs
 from m100link.apps.station.console.view.fly import CAMERA, HELD, TAKE_OFF_HEIGHT, FieldReading
@@ -31,6 +30,7 @@ from m100link.apps.station.console.view.view_model import Memory, ViewModel
 from m100link.apps.station.web.tiles import MapTiles
 from m100link.errors import GuardRefused, UsageError
 from m100link.protocol.records import Position
+from m100link.sim.orders import SimulatorOrders
 
 # -- the texts of a page, also when its language changes -------------------------------------------
 

@@ -12,11 +12,11 @@ from nicegui import ui
 from nicegui.events import ValueChangeEventArguments
 
 from m100link.apps.station.console.components.component import PageContext, Wording, attribute
-from m100link.apps.station.console.orders import SimulatorOrders
 from m100link.apps.station.console.view import texts
 from m100link.apps.station.console.view.view_model import ViewModel
 from m100link.errors import M100Error
 from m100link.protocol.records import RcMode
+from m100link.sim.orders import SimulatorOrders
 
 # -- settings, which the browser keeps -------------------------------------------------------------
 
