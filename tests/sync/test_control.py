@@ -255,4 +255,4 @@ def test_no_lock_written_in_python_is_taken_by_the_thread_that_waits(connect: Co
             control.take_off()
     assert ("portal.py", "wait") in alarm.called
     locks = {name for file, name in alarm.called if file in ("threading.py", "_base.py")}
-    assert locks <= {"current_thread"}
+    assert locks <= {"current_thread", "RLock"}  # makes one, such as for an import, and takes none
