@@ -63,6 +63,19 @@ def test_a_concave_field_has_lines_in_several_parts() -> None:
     assert across.count(2.5) == 2
 
 
+def test_a_line_through_corners_enters_and_leaves_there_once() -> None:
+    """A rhombus whose middle corners lie on its middle line, which is 60 m long."""
+    rhombus = [(0.0, 20.0), (30.0, 0.0), (60.0, 20.0), (30.0, 40.0)]
+    points = survey(rhombus, spacing=40.0, height=5)
+    assert sorted(points) == [(0.0, 20.0, 5), (60.0, 20.0, 5)]
+    # A notch whose tip lies on the line, from either side: the line goes straight on.
+    for tip, wall in ((20.0, 40.0), (20.0, 0.0)):
+        notched = [(0.0, 40.0 - wall), (60.0, 40.0 - wall), (60.0, wall), (30.0, tip), (0.0, wall)]
+        ends = survey(notched, spacing=40.0, height=5)
+        assert (min(ends), max(ends)) == ((0.0, 20.0, 5), (60.0, 20.0, 5))
+        assert len(ends) % 2 == 0
+
+
 @pytest.mark.parametrize(
     ("polygon", "options", "words"),
     [

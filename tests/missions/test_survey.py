@@ -10,7 +10,7 @@ import pytest
 
 from m100link import AtEnd, BadPlan, GimbalPitch, Heading, TakePhoto, Trace, UsageError
 from m100link.geodesy import LocalFrame
-from m100link.missions.survey import line_spacing, orbit, survey
+from m100link.missions.survey import _apart, line_spacing, orbit, survey
 
 FRAME = LocalFrame(52.1, 4.31)
 FIELD = [(0.0, 0.0), (60.0, 0.0), (60.0, 40.0), (0.0, 40.0)]
@@ -198,3 +198,23 @@ def test_an_orbit_that_cannot_be_flown_is_refused(wrong: dict[str, Any]) -> None
         around(**wrong)
     with pytest.raises(UsageError, match="place"):
         orbit((math.nan, 4.0), radius=30.0, height=30.0)
+
+
+@pytest.mark.parametrize(
+    ("speed", "fastest"), [(5.0, 10.0), (10.0, 10.0), (12.5, 12.5), (15.0, 15.0)]
+)
+def test_the_stick_may_speed_it_up_to_10_m_s_and_no_speed_is_above_15(
+    speed: float, fastest: float
+) -> None:
+    here: dict[str, Any] = {"height": 30.0, "speed": speed}
+    assert survey(area(), spacing=20.0, **here).max_speed == fastest
+    assert orbit((52.1, 4.31), radius=40.0, **here).max_speed == fastest
+    for beyond in (15.5, 16.0, 40.0):
+        with pytest.raises(BadPlan) as caught:
+            survey(area(), spacing=20.0, height=30.0, speed=beyond)
+        assert [one.seen for one in caught.value.problems] == [f"speed {beyond:g} is above 15 m/s"]
+
+
+def test_places_2_m_apart_are_one_and_beyond_that_two() -> None:
+    assert _apart([(0.0, 0.0), (2.0, 0.0)]) == [(0.0, 0.0)]
+    assert _apart([(0.0, 0.0), (0.0, 2.001), (0.0, 3.0)]) == [(0.0, 0.0), (0.0, 2.001)]
