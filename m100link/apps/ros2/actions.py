@@ -154,7 +154,7 @@ class Actions:
             goal = self._current
             is_meant = goal is not None and (
                 identity == goal.id
-                or (identity == _NOBODY and goal.action is action)
+                or (identity == _NOBODY and stamp == _NO_TIME and goal.action is action)
                 or (stamp != _NO_TIME and goal.action is action and _before(goal.stamp, stamp))
             )
             if goal is None or not is_meant:

@@ -425,6 +425,8 @@ ID = bytes(range(16))
         (ID, (0, 0), 0, True),
         (bytes(16), (0, 0), 0, True),  # all of this action
         (bytes(16), (50, 7), 0, True),
+        (bytes(16), (50, 6), 0, False),  # accepted after that time: it flies on
+        (ID, (50, 6), 0, True),  # by its id, whenever it was accepted
         (bytes([9]) * 16, (0, 0), 2, False),  # nobody knows it
         (bytes([8]) * 16, (0, 0), 3, False),  # it has ended
         (bytes([8]) * 16, (50, 7), 0, True),  # and all from before that time
