@@ -133,7 +133,7 @@ class TrackSteering:
             )
         if not early > 0:
             raise ShowRefused(
-                f"{name} should have begun {-early:.2f} s ago",
+                f"{name} should have begun {0.0 - early:.2f} s ago",
                 why=Why.LATE,
                 measured=-early,
                 limit=0.0,

@@ -99,7 +99,7 @@ def test_upwards_it_asks_for_what_comes_in_0_3_s_and_sideways_in_0_65_s() -> Non
     ("early", "bound", "here", "why", "measured", "limit", "seen"),
     [
         (120.1, 0.0, (0, 0, 5), Why.EARLY, 120.1, 120.0, "would begin in 120 s; 120 s are"),
-        (0.0, 0.0, (0, 0, 5), Why.LATE, 0.0, 0.0, "should have begun"),
+        (0.0, 0.0, (0, 0, 5), Why.LATE, 0.0, 0.0, "should have begun 0.00 s ago"),
         (-2.5, 0.0, (0, 0, 5), Why.LATE, 2.5, 0.0, "should have begun 2.50 s ago"),
         (9.0, 0.0625, (0, 0, 5), Why.CLOCK, 0.0625, 0.05, "by 62 ms; 50 ms are allowed"),
         (9.0, math.inf, (0, 0, 5), Why.CLOCK, math.inf, 0.05, "by any amount; 50 ms are"),
