@@ -397,6 +397,7 @@ class MissionCard:
     digest: str = ""  #: digest of its plan; empty without one
     points: int = 0  #: waypoints of the newest plan; 0 without one
     reached: bytes = b""  #: waypoints reached, in order, a byte each; the last 1024
+    reached_count: int = 0  #: how many were reached, also those before the last 1024
     is_paused: bool = False  #: whether it is paused, hovering
     is_finished: bool = False  #: whether every waypoint was flown
     fault: RemoteError | None = None  #: what ended it early

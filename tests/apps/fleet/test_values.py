@@ -126,7 +126,7 @@ def mission(telemetry: AircraftState | None, **state: Any) -> MissionCard:
     )
     one.stage, one._plan, one._begun_at = MissionStage.FLYING, WaypointPlan(points), 27.25
     one._digest, one._by, one._points, one._is_paused = "ab" * 8, "anna", 3, True
-    one._reached[:] = bytes([0, 1])
+    one._reached[:], one._reached_count = bytes([0, 1]), 2
     return one.card("kite", "5c0f8b1e")
 
 
@@ -161,6 +161,7 @@ MISSION: dict[str, Any] = {
     "digest": "ab" * 8,
     "points": 3,
     "reached": "AAE=",
+    "reached_count": 2,
     "is_paused": True,
     "is_finished": False,
     "fault": None,

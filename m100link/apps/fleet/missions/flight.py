@@ -196,9 +196,9 @@ class FleetMission:
         return card
 
     def _note(self, card: MissionCard) -> None:
-        for index in card.reached[self._seen :]:
-            self._events.append(events.Reached(index))
-        self._seen = len(card.reached)
+        begin = self._seen - card.reached_count + len(card.reached)
+        self._events += map(events.Reached, card.reached[max(0, begin) :])
+        self._seen = card.reached_count
         if card.is_paused != self._was_paused:
             self._was_paused = card.is_paused
             self._events.append(events.Paused() if card.is_paused else events.Resumed())

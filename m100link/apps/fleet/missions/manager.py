@@ -36,7 +36,7 @@ class MissionManager:
         self._digest, self._by, self._points = "", "", 0
         # One plan at a time goes to the agent, and none while it begins to fly one.
         self._telling = asyncio.Lock()
-        self._reached = bytearray()
+        self._reached, self._reached_count = bytearray(), 0
         self._begun_at: float | None = None
         self._ended_at: float | None = None
         self._is_paused = self._is_finished = False
@@ -66,7 +66,7 @@ class MissionManager:
             return self._digest
 
     def _clear(self) -> None:
-        self._reached.clear()
+        self._reached, self._reached_count = bytearray(), 0
         self._begun_at = self._ended_at = self._fault = None
         self._is_paused = self._is_finished = False
 
@@ -128,6 +128,7 @@ class MissionManager:
         if report.event == _REACHED and report.data[1:2] == bytes([_ARRIVED]):
             self._reached += report.data[:1]
             del self._reached[:-_MOST_REACHED]
+            self._reached_count += 1
         elif report.event == _FINISHED:
             self._is_finished = True
 
@@ -162,6 +163,7 @@ class MissionManager:
             digest=self._digest,
             points=self._points,
             reached=bytes(self._reached),
+            reached_count=self._reached_count,
             is_paused=self._is_paused,
             is_finished=self._is_finished,
             fault=self._fault,

@@ -219,6 +219,7 @@ async def test_a_plan_that_is_refused_flies_nothing_and_says_why(
 
 
 def a_card(stage: MissionStage = MissionStage.FLYING, **more: Any) -> MissionCard:
+    more.setdefault("reached_count", len(more.get("reached", b"")))
     return MissionCard("a1", "run", stage, **more)
 
 
@@ -251,6 +252,14 @@ async def test_each_change_of_a_card_is_one_event() -> None:
         Finished(),
     ]
     assert one.is_over
+
+
+async def test_a_mission_that_reaches_more_points_than_a_card_has_loses_none() -> None:
+    """A plan of 99 waypoints may repeat 255 times; a card has the last 1024 of them."""
+    one, flown = mission(), [number % 99 for number in range(2500)]
+    for count in (0, 1000, 1024, 1025, 1800, 1800, 2500):
+        one._note(a_card(reached=bytes(flown[max(0, count - 1024) : count]), reached_count=count))
+    assert [said for said in one._events if isinstance(said, Reached)] == [*map(Reached, flown)]
 
 
 @pytest.mark.parametrize("stage", [MissionStage.OVER, MissionStage.NONE])

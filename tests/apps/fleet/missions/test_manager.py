@@ -399,6 +399,7 @@ def test_points_are_reached_when_the_second_byte_is_four() -> None:
         client.on_mission_report[0](MissionReport(2, bytes([number % 200, 4])))
     assert len(one._reached) == 1024
     assert one._reached[-1] == 1999 % 200
+    assert one.card("kite", "run").reached_count == 2002
 
 
 @pytest.mark.parametrize(
