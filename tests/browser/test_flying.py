@@ -85,8 +85,8 @@ async def test_keys_do_nothing_until_the_pad_has_the_focus(flight: Flight) -> No
 
 
 SHOULDER_IS_SEEN = """(is) => {
-  const {wasActive, gamepadIsSpent} = window.m100.steering;
-  return (wasActive || gamepadIsSpent) === is;
+  const {wasActive, pad} = window.m100.steering;
+  return (wasActive || pad.dataset.fate === "let_go_first") === is;
 }"""
 
 
@@ -97,6 +97,8 @@ async def test_a_gamepad_flies_while_its_shoulder_button_is_held(flight: Flight)
     assert is_still(console)  # the stick alone moves nothing
 
     async def shoulder(is_pressed: bool) -> None:
+        # A press begins with its sticks at rest.
+        await page.evaluate("(up) => { window.pad.axes = [0, 0, 0, up]; }", -int(is_pressed))
         await page.evaluate("(pressed) => window.pad.buttons.fill({pressed}, 4)", is_pressed)
         # The page let go, or steers; either ends as it sees the button come up.
         await page.wait_for_function(SHOULDER_IS_SEEN, arg=is_pressed)
@@ -120,6 +122,8 @@ async def test_the_card_of_a_gamepad_moves_sticks_and_not_the_aircraft(
     await shows(page, "#gamepad .which", "Pad of a test")
 
     async def shoulder(is_pressed: bool) -> None:
+        # A press begins with its sticks at rest.
+        await page.evaluate("(up) => { window.pad.axes = [0, 0, 0, up]; }", -int(is_pressed))
         await page.evaluate("(pressed) => window.pad.buttons.fill({pressed}, 4)", is_pressed)
         await asyncio.sleep(0.2)
 

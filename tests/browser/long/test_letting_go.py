@@ -144,17 +144,16 @@ async def test_another_view(fingers: tuple[Console, Fingers]) -> None:
 
 
 async def test_a_gamepad_that_is_held_while_the_page_loses_the_focus(console: Console) -> None:
-    page = await airborne(
-        console,
-        GAMEPAD + "window.pad.axes = [0, 0, 0, -1];",
-    )
+    page = await airborne(console, GAMEPAD)
     await page.click("#pad")
     await page.keyboard.press("Digit4")
 
     async def press() -> None:
+        await page.evaluate("window.pad.axes = [0, 0, 0, -1]")
         await page.evaluate("window.pad.buttons.fill({pressed: true}, 4)")
 
     async def lift() -> None:
+        await page.evaluate("window.pad.axes = [0, 0, 0, 0]")
         await page.evaluate("window.pad.buttons.fill({pressed: false}, 4)")
         await asyncio.sleep(0.2)
 

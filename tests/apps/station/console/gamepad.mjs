@@ -25,16 +25,16 @@ const {Steering} = await import(`${folder}/steer.js`);
 now += 2000;  // the page has been looked at
 const steering = new Steering(element, {send: (message) => notes.push(message), fateSince: () => "sent"});
 
-const pressed = (numbers) => Array.from({length: 17}, (_, i) => ({pressed: numbers.includes(i)}));
-const result = JSON.parse(steps).map(({view, axes, buttons, is_there = true, map, mode, focus = true}) => {
+const pressed = (numbers, length = 17) => Array.from({length}, (_, i) => ({pressed: numbers.includes(i)}));
+const result = JSON.parse(steps).map(({view, axes, buttons, is_there = true, map, mode, focus = true, pads: more}) => {
   notes.length = 0;
   now += 50;
   if (map !== undefined) gamepads.choose(map);
   if (mode) steering.mode = mode;
   if (view) document.body.dataset.view = view;
   element.contains = () => focus;
-  pads = is_there ? [null, {connected: true, index: 1, id: "pad", axes, buttons: pressed(buttons)}] : [null, null];
+  pads = more ? more.map((one) => one && {connected: true, ...one, buttons: pressed(one.buttons, one.count)}) : is_there ? [null, {connected: true, index: 1, id: "pad", axes, buttons: pressed(buttons)}] : [null, null];
   steering.tick();
-  return {notes: [...notes], level: steering.level, mode: steering.mode};
+  return {notes: [...notes], level: steering.level, mode: steering.mode, fate: element.dataset.fate};
 });
 console.log(JSON.stringify({result, usual: mapping(null), kept: mapping(JSON.parse(kept)), read: read({axes: [NaN, 5], buttons: []}, mapping(null)).axes}));

@@ -101,7 +101,7 @@ LETS_GO: dict[str, Step] = {
 @pytest.mark.parametrize("how", LETS_GO)
 def test_it_hovers_at_once_and_flies_only_for_a_new_press(how: str) -> None:
     back = {"view": "fly"}
-    steps = [step(), step(UP, FLY), LETS_GO[how], step(UP, FLY, **back), step(UP), step(UP, FLY)]
+    steps = [step(), step(UP, FLY), LETS_GO[how], step(UP, FLY, **back), step(), step(UP, FLY)]
     if how == "the handle is let go":
         del steps[3]  # that is the new press
     found = run(*steps)["result"]
@@ -115,6 +115,62 @@ def test_it_hovers_at_once_and_flies_only_for_a_new_press(how: str) -> None:
 @pytest.mark.parametrize("first", [step(UP, FLY), step(UP, FLY, is_there=False)])
 def test_one_that_comes_with_its_handle_held_flies_nothing(first: Step) -> None:
     assert beats(first, step(UP, FLY), step(UP, FLY)) == [None, None, None]
+
+
+def pad(index: int, axes: list[float], *buttons: int, **changed: Any) -> dict[str, Any]:
+    return {"id": "pad", "index": index, "axes": axes, "buttons": list(buttons)} | changed
+
+
+def several(*pads: dict[str, Any] | None) -> Step:
+    return {"pads": list(pads)}
+
+
+@pytest.mark.parametrize(
+    ("other", "gone"),
+    [(pad(0, REST), None), (pad(0, UP), None), (pad(0, REST, 2), pad(1, UP, FLY, id="another"))],
+    ids=str,
+)
+def test_one_that_comes_back_beside_another_flies_nothing(other: Any, gone: Any) -> None:
+    """It went with its handle held, while another gamepad stayed."""
+    held = several(other, pad(1, UP, FLY))
+    without = several(other) if gone is None else several(other, gone)
+    there, flies, *flew, anew = beats(
+        several(other, pad(1, REST)), held, without, held, held, several(other, pad(1, REST)), held
+    )
+    assert (there, flew) == (None, [None] * 4)
+    assert flies == anew is not None
+
+
+# Where an axis rests that is no stick: a trigger, a hat, a throttle without a spring, a worn one.
+@pytest.mark.parametrize(
+    ("axis", "rest"), [(2, -1.0), (3, 1.0), (0, 3.2857), (0, 1.2857), (1, 1.0), (2, 0.11)]
+)
+def test_an_axis_that_does_not_rest_in_the_middle_moves_nothing(axis: int, rest: float) -> None:
+    axes = [rest if one == axis else 0.0 for one in range(4)]
+    steps = [step(axes), step(axes, FLY), step(axes), step(axes, FLY), step(), step(axes, FLY)]
+    found = run(*steps)["result"]
+    flew = [beat(one) is not None for one in found]
+    assert flew == [False, False, False, False, False, True]
+    fates = [one["fate"] for one in found]
+    assert fates == ["", "let_go_first", "", "let_go_first", "", "sent"]
+
+
+def test_a_gamepad_without_the_button_of_a_mapping_for_another_has_stop() -> None:
+    kept = {"buttons": {"4": "fly", "14": "stop", "1": "fly"}}
+    small, large = pad(0, REST, count=6), pad(0, REST, count=17)
+    assert [
+        run(several(one), several(one | {"buttons": [button]}), kept=kept)["result"][1][
+            "notes"
+        ].count("stop")
+        for one, button in ((small, STOP), (large, STOP), (large, 14))
+    ] == [1, 0, 1]
+
+
+@pytest.mark.parametrize("count", [0, 40])
+def test_however_many_axes_it_has_only_those_of_the_mapping_move(count: int) -> None:
+    axes = [0.0 if one < 4 else 1.0 for one in range(count)]
+    _, found = beats(several(pad(0, axes)), several(pad(0, axes, FLY)))
+    assert found == pytest.approx(dict.fromkeys("xyzw", 0.0), abs=1e-9)
 
 
 def test_without_its_handle_a_stick_moves_nothing() -> None:

@@ -36,14 +36,16 @@ export function mapping(found) {
   return {axes, buttons};
 }
 
-// What a gamepad says: each direction from -1 to 1, and the actions whose buttons are down.
+// What a gamepad says: each direction from -1 to 1, and the actions whose buttons are down. One that
+// has no button with STOP, by a mapping for another gamepad, has it where it usually is.
 export function read(pad, {axes, buttons}) {
   const found = {}, pressed = new Set();
   for (const [name, {axis, sign, dead}] of Object.entries(axes)) {
     const value = sign * (pad.axes[axis] ?? 0), size = (Math.min(1, Math.abs(value)) - dead) / (1 - dead);
     found[name] = size > 0 ? Math.sign(value) * size : 0;  // and of what is no number, nothing
   }
-  pad.buttons.forEach((button, i) => button.pressed && buttons[i] && pressed.add(buttons[i]));
+  const does = pad.buttons.some((_, i) => buttons[i] === "stop") ? buttons : {...buttons, [STOP]: "stop"};
+  pad.buttons.forEach((button, i) => button.pressed && does[i] && pressed.add(does[i]));
   return {axes: found, pressed};
 }
 
@@ -55,6 +57,8 @@ export class Gamepads {
     } catch { /* nothing was kept, or it cannot be read */ }
     this.map = mapping(kept);
     this.down = new Map();  // actions that were down before, by gamepad
+    this.ready = new Set();  // gamepads whose handle was seen up, and sticks at rest, since they came
+    this.isSpent = false;  // whether the one that is held is none of them
     this.onAction = () => {};
     this.onLook = () => {};
   }
@@ -66,8 +70,12 @@ export class Gamepads {
     } catch { /* where nothing may be stored, each page begins anew */ }
   }
 
-  // {isThere: whether there is any, axes: of the one whose dead man's handle is held, else null}.
-  // Each press of another button is told once, to onAction.
+  // Nothing that is held flies on: each gamepad has to be seen at rest first. So does an axis that
+  // does not rest at 0, such as a trigger or a hat, of which nobody knows how far it is pushed.
+  spend() { this.ready.clear(); }
+
+  // The axes of the gamepad whose dead man's handle is held, or null. Each press of another button is
+  // told once, to onAction.
   look() {
     const pads = (navigator.getGamepads ? [...navigator.getGamepads()] : []).filter((one) => one?.connected);
     const said = pads.map((pad) => [pad, read(pad, this.map)]);
@@ -79,8 +87,12 @@ export class Gamepads {
       for (const action of pressed) if (!was.has(action)) this.onAction(action);
     }
     this.onLook(said);
-    const held = said.find(([, {pressed}]) => pressed.has("fly"));
-    return {isThere: pads.length > 0, axes: held ? held[1].axes : null};
+    const name = ([pad]) => `${pad.index} ${pad.id}`;
+    const isAtRest = ([, {axes, pressed}]) => !pressed.has("fly") && !Object.values(axes).some(Boolean);
+    this.ready = new Set(said.filter((one) => this.ready.has(name(one)) || isAtRest(one)).map(name));
+    const held = said.find(([, {pressed}]) => pressed.has("fly")), flies = held && this.ready.has(name(held));
+    this.isSpent = Boolean(held) && !flies;
+    return flies ? held[1].axes : null;
   }
 }
 

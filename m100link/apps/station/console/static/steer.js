@@ -92,7 +92,6 @@ export class Steering {
     this.level = 1;
     this.mode = 1;
     this.wasActive = false;
-    this.gamepadIsSpent = true;  // its handle has to be seen up first
     gamepads.onAction = (action) => this.act(action);
     this.tickedAt = performance.now();
     this.said = "";
@@ -163,12 +162,11 @@ export class Steering {
   }
 
   gamepad() {
-    // A dead man's handle: a stick that drifts moves nothing by itself. A gamepad that went, and comes
-    // back, has to show it up; and in another view, such as the one that maps it, nothing is held.
-    const {isThere, axes} = gamepads.look();
-    if (!isThere || document.body.dataset.view !== "fly") this.gamepadIsSpent = true;
-    else if (!axes) this.gamepadIsSpent = false;
-    return this.gamepadIsSpent ? null : axes;
+    // A dead man's handle: a stick that drifts moves nothing by itself. In another view, such as the
+    // one that maps it, nothing is held.
+    const axes = gamepads.look(), isShown = document.body.dataset.view === "fly";
+    if (!isShown) gamepads.spend();
+    return isShown ? axes : null;
   }
 
   // A button of a gamepad was pressed.
@@ -183,7 +181,7 @@ export class Steering {
   demand() {
     const gamepad = this.gamepad();
     if (!this.hasFocus) {
-      if (gamepad) this.gamepadIsSpent = true;
+      gamepads.spend();
       return null;
     }
     const sources = [...this.sticks.map((stick) => stick.axes), gamepad].filter(Boolean);
@@ -204,7 +202,9 @@ export class Steering {
     if (axes === null) {
       if (this.wasActive) { this.socket.send({op: "rest"}); this.say(words("let_go")); }
       this.wasActive = false;
-      this.pad.dataset.fate = "";
+      const isSpent = gamepads.isSpent && this.hasFocus;
+      this.pad.dataset.fate = isSpent ? "let_go_first" : "";
+      if (isSpent) this.say(words("fate_let_go_first", {what: words("pad_at_rest")}));
       if (!this.hasFocus) this.letGo();
       return;
     }
@@ -221,7 +221,7 @@ export class Steering {
   letGo() {
     this.held.clear();
     for (const stick of this.sticks) stick.axes && stick.drop();
-    this.gamepadIsSpent = true;  // until its handle is seen up
+    gamepads.spend();
   }
 
   rest() {
