@@ -214,7 +214,12 @@ class ActiveMission:
             self.on_event(event)
 
     def flight(self, kind: type[F]) -> F:
-        """The mission. Raises UsageError: none of that kind flies."""
+        """The mission. Raises UsageError: none of that kind flies, or it has not begun yet."""
+        if self.watch is not None and self._flight is None:
+            raise UsageError(
+                f"the {self._what} has not begun yet: it is uploaded, or takes off",
+                remedy="stop the mission, or wait until it has begun",
+            )
         if not isinstance(self._flight, kind):
             raise UsageError(f"no {_NAMES[kind]} flies", remedy="start one")
         return self._flight

@@ -262,6 +262,9 @@ async def test_a_stop_ends_a_mission_that_has_not_begun(waypoints: Rig) -> None:
         group.start_soon(begin)
         await anyio.sleep(0.02)
         assert rig.holding.require().mission.is_flying
+        with pytest.raises(UsageError, match="has not begun yet") as refused:
+            await rig.agent.ask(orders.PauseMission(), rig.token)
+        assert refused.value.remedy == "stop the mission, or wait until it has begun"
         await rig.agent.ask(orders.StopMission(), rig.token)
         assert not rig.holding.require().mission.is_flying
     await anyio.sleep(5.0)
