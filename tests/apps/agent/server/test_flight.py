@@ -164,6 +164,18 @@ async def test_one_task_at_a_time(rig: Rig) -> None:
             await rig.agent.ask(orders.Land(), rig.token)
 
 
+async def test_a_task_that_the_aircraft_refuses_is_an_error_in_the_journal(rig: Rig) -> None:
+    await rig.agent.ask(orders.Obtain(), rig.token)
+    with pytest.raises(TaskRefused):
+        await rig.agent.ask(orders.Land(), rig.token)  # it stands on the ground
+    *_, begins, ends = rig.agent.journal.events
+    assert (begins.level, begins.text) == ("info", "land begins")
+    assert (ends.level, ends.text.split(" (")[0]) == (
+        "error",
+        "land: land was refused: received and rejected",
+    )
+
+
 async def test_a_block_that_ends_ends_what_used_it(rig: Rig) -> None:
     await airborne(rig)
     flying = rig.holding.require()
