@@ -22,7 +22,16 @@ from rich.table import Table
 
 from m100link import AckTimeout, GuardRefused, LinkError, UsageError
 from m100link.apps.agent.messages import RemoteError
-from m100link.apps.cli import connection, fleet_plans, fleet_verbs, flight, mission, sim, telemetry
+from m100link.apps.cli import (
+    connection,
+    demo,
+    fleet_plans,
+    fleet_verbs,
+    flight,
+    mission,
+    sim,
+    telemetry,
+)
 from m100link.apps.cli.mission import event_name, event_words
 from m100link.apps.cli.terminal import ExitCode
 from m100link.apps.doctor import Finding, Stage, Verdict
@@ -626,3 +635,22 @@ def test_what_a_command_leaves_of_a_mission_of_a_fleet(
     found = show.stopped()
     assert found.startswith(f"a1: {told}")
     assert (found == f"a1: {told}") is ("waypoint was flown" in told or "not started" in told)
+
+
+def test_the_commonest_round_trip_has_40_blocks_and_the_others_their_share(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    counts = {"10": 20, "50": 40, "100": 0, "more": 10}
+    connection._print_trips({"count": 70, "mean_ms": 31.5, "up_to_ms": counts})
+    head, *rows = capsys.readouterr().out.splitlines()
+    assert head == "answers after 31.5 ms on average; up to"
+    assert [(*row.split()[:-1], row.count("█")) for row in rows] == [
+        ("10", "ms", "20", 20),
+        ("50", "ms", "40", 40),
+        ("more", "10", 10),
+    ]
+
+
+def test_the_way_of_the_demo_is_all_its_legs_and_ends_beside_its_first_place() -> None:
+    flight = demo._Flight(track=[(0.0, 0.0), (3.0, 4.0), (3.0, 0.0)])  # north, east, m
+    assert (flight.path_length_m, flight.returned_within_m) == (9.0, 3.0)
