@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import inspect
 from collections.abc import Awaitable, Callable
-from typing import Any
+from typing import Any, cast
 
 import anyio
 import pytest
@@ -220,6 +220,31 @@ async def test_a_landing_that_is_asked_for_again_is_older_than_a_stop_since_the_
     assert await landing is Outcome.REFUSED
     await anyio.sleep(5.0)
     assert one.height > 1.0
+
+
+async def test_each_doubtful_agent_is_asked_to_land_as_of_the_time_of_the_first_order() -> None:
+    """Two agents of one name answered, with the times 100 s and 200 s; the first order was lost."""
+    made: list[tuple[float, float]] = []
+
+    class Asker:
+        bus = keys = None
+        doubtful_clocks: list[float] = []  # noqa: RUF012 - each landing makes its own
+
+        def its_time(self, at: float) -> float:
+            return 0.0
+
+        async def ask(self, order: orders.Order, *, since: float, clock: float = 0.0) -> None:
+            assert isinstance(order, orders.Land)
+            if clock:
+                return made.append((clock, since))
+            await anyio.sleep(2.0)
+            self.doubtful_clocks = [100.0, 200.0]
+            raise OutcomeUnknown("nobody knows")
+
+    with pytest.raises(OutcomeUnknown):
+        await FleetAircraft(cast("Any", Asker()), "operator").land()
+    # A STOP that came there within those two seconds is younger than the order, and ends it.
+    assert made == [(100.0, pytest.approx(98.0)), (200.0, pytest.approx(198.0))]
 
 
 async def test_a_landing_over_a_way_of_three_seconds_is_refused_for_its_age(rig: Rig) -> None:
