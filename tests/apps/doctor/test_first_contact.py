@@ -533,6 +533,13 @@ async def test_an_interrupt_at_any_prompt_keeps_what_was_seen(
     assert (contact.found.get("acceleration") == "raw") is (prompt != "PROPELLERS OFF")
 
 
+async def test_a_cancellation_ends_it_as_a_signal_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    there = Hidden(raw=True)
+    contact, _ = await interrupted(monkeypatch, there, 0.0, by_signal=False, prompt="Lift")
+    assert (contact.ended_by, there.device) == ("it was interrupted", RC)
+    assert Topic.RC_LOST.name.lower() not in contact.found
+
+
 async def test_what_an_interrupt_cannot_give_back_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     there = Hidden(releases=False, obtains_in="P")
     prompt = "mode switch to P"

@@ -626,6 +626,7 @@ async def test_at_rest_acceleration_and_mission_status_show_themselves(
     assert [topic for topic, *_ in seen_of] == [Topic.ACCELERATION, Topic.MISSION_STATUS]
     for (_, found, figures), (wanted, words) in zip(seen_of, told, strict=True):
         assert (found, words in figures) == (wanted, True)
+    assert firmware == "2.3" or seen_of[-1][2] == f"{pushes} pushes in {clock() - began:.1f} s"
 
 
 @pytest.mark.parametrize(("firmware", "twice"), [("1.0", False), ("2.3", True), ("3.1", True)])
