@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import asyncio
 import logging
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -27,6 +29,8 @@ from m100link import (
     TelemetryStalled,
     UsageError,
 )
+from m100link.flight.missions.events import RunState
+from m100link.flight.missions.mission_session import MissionSession
 from tests.flight.foreign_aircraft import (
     GOING_HOME,
     LANDING,
@@ -450,3 +454,25 @@ async def test_a_bug_in_the_watch_ends_the_flight(monkeypatch: pytest.MonkeyPatc
                     async for _ in mission:
                         pass
         await assert_rests(there)
+
+
+@pytest.mark.parametrize(
+    ("state", "is_asked"), [(RunState.ENDING, True), (RunState.RETURNING, False)]
+)
+async def test_on_its_way_home_it_is_not_asked_about_a_mission_that_is_over(
+    state: RunState, is_asked: bool
+) -> None:
+    asked: list[object] = []
+
+    async def execute(question: object, **_: object) -> None:
+        asked.append(question)
+
+    requests = SimpleNamespace(execute=execute)
+    one: Any = SimpleNamespace(
+        state=state,
+        _track=SimpleNamespace(poll="how far?", polled=lambda _: []),
+        _context=SimpleNamespace(commander=SimpleNamespace(requests=requests)),
+        _apply=lambda _: None,
+    )
+    await MissionSession.ask(one)
+    assert asked == ["how far?"] * is_asked
