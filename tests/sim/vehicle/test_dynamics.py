@@ -435,6 +435,16 @@ def test_motors_off_in_the_air_falls() -> None:
     assert motion.touchdown_speed == pytest.approx(math.sqrt(2 * GRAVITY * 50.0), rel=0.01)
 
 
+def test_wind_carries_along_what_falls() -> None:
+    motion = hovering(Airframe(drag=0.5))
+    motion.motors_on = False
+    motion.wind_north, motion.wind_east = 5.0, -3.0
+    run(motion, DynamicsInput(), 1.0)
+    share = 1.0 - math.exp(-0.5)  # of the wind, after a second
+    assert motion.velocity_north == pytest.approx(5.0 * share, rel=0.01)
+    assert motion.velocity_east == pytest.approx(-3.0 * share, rel=0.01)
+
+
 def test_equal_inputs_give_equal_flights() -> None:
     first, second = hovering(), hovering()
     for motion in (first, second):

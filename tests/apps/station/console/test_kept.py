@@ -620,6 +620,15 @@ async def test_rows_of_a_file_have_what_was_commanded_beside_what_was_flown(alar
     assert few[0][0] <= 2.0
 
 
+def test_a_row_that_stays_keeps_its_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(kept, "MOST_ROWS", 4)
+    rows = kept._Rows("1.0", interval=1.0)
+    for at in range(8):
+        rows._add(float(at), (10.0 * at,))
+    assert (list(rows.times), rows.interval) == ([0.0, 4.0, 6.0, 7.0], 4.0)
+    assert rows._rows == [(0.0,), (40.0,), (60.0,), (70.0,)]
+
+
 async def test_of_a_long_file_every_second_row_goes(
     alarming: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
