@@ -352,8 +352,8 @@ class ClickPart:
 
 
 def _drawing(one: Drawing) -> dict[str, object]:
-    drawn = {"place": one.place, "radius": one.radius, "yaw": one.yaw_deg}
-    return drawn | {"life": one.life.value}
+    life = one.life.value
+    return {"place": one.place, "radius": one.radius, "yaw": one.yaw_deg, "life": life}
 
 
 def _is_number(value: object) -> TypeGuard[float]:
