@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import AsyncIterator
-from contextlib import AsyncExitStack, asynccontextmanager
+from contextlib import AsyncExitStack, ExitStack, asynccontextmanager
+from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import anyio
 import pytest
@@ -15,7 +16,13 @@ from m100link.apps.agent.messages import LeaseChanged
 from m100link.apps.fleet.keys import Keys
 from m100link.apps.station import fleet as module
 from m100link.apps.station.config import Settings
-from m100link.apps.station.fleet import MOST_SHIPS, Ships, names_of, serving_fleet_console
+from m100link.apps.station.fleet import (
+    MOST_SHIPS,
+    FleetSettings,
+    Ships,
+    names_of,
+    serving_fleet_console,
+)
 from m100link.errors import LinkError, Unreachable, UsageError
 from m100link.sim.clock import virtual_clock_loop
 from tests.apps.fleet.conftest import SITE, Rig
@@ -149,3 +156,14 @@ async def test_an_agent_that_is_started_anew_is_found_again(rig: Rig) -> None:
         await rig.until(lambda: far.is_gone, within=3.0)
         one.work = one.agent.background.spawn(one.fleet_agent.run(), "fleet")
         await rig.until(lambda: far.is_connected, within=5.0)
+
+
+def test_the_order_log_of_an_agent_that_ended_can_be_opened_again(tmp_path: Path) -> None:
+    fleet, keys = FleetSettings(order_logs=tmp_path), Keys(SITE, "a1")
+    first, then = ExitStack(), ExitStack()
+    with then:
+        with first:
+            log = module._order_log(cast("AsyncExitStack", first), fleet, keys)
+            with pytest.raises(UsageError, match="another agent has it"):
+                module._order_log(cast("AsyncExitStack", then), fleet, keys)
+        assert module._order_log(cast("AsyncExitStack", then), fleet, keys) is not log
