@@ -50,6 +50,16 @@ async def player(tmp_path: Path) -> Player:
     return Player(log, await begin_of(log))
 
 
+@pytest.mark.parametrize("from_s", [0.0, 5.0])
+async def test_its_clock_begins_where_that_of_the_event_loop_stands(
+    player: Player, from_s: float
+) -> None:
+    now = asyncio.get_running_loop().time()
+    begun = Player(player.flight, player.begin, from_s=from_s)
+    assert (begun.time(), begun.position_s) == pytest.approx((now, from_s))
+    assert begun.utc_offset_s == pytest.approx(player.begin.utc + from_s - now)
+
+
 async def test_it_stands_still_and_goes_on_where_it_stood(player: Player) -> None:
     heard = Heard(player)
     player.play(heard.stage())
