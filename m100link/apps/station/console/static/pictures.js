@@ -45,6 +45,7 @@ const AGAIN_MS = 3000;
 const TELL_MS = 2000;       // between two words to the log
 const GATHER_MS = 1000;
 const MOST_BYTES = 8e6;     // of a picture
+const WINDOW = 4096;        // bytes in one search; no head of a part has more
 
 const sleep = (time) => new Promise((done) => setTimeout(done, time));
 const ended = (signal) => new Promise((done) => signal.addEventListener("abort", done, {once: true}));
@@ -159,13 +160,11 @@ async function mjpeg(url, put, seen, shown, signal) {
   const type = answer.headers.get("content-type") || "";
   if (!type.startsWith("multipart/x-mixed-replace")) throw new Error(`"${type.slice(0, 40)}"`);
   const canvas = document.createElement("canvas"), drawing = canvas.getContext("bitmaprenderer");
-  const reader = answer.body.getReader();
-  for (let rest = new Uint8Array(0); ;) {
+  const reader = answer.body.getReader(), parts = new Parts();
+  for (;;) {
     const {done, value} = await reader.read();
     if (done) return;
-    const {picture, left} = newest(joined(rest, value));
-    rest = left;
-    if (rest.length > MOST_BYTES) throw new Error(`> ${MOST_BYTES / 1e6} MB`);
+    const picture = parts.add(value);
     if (!picture) continue;
     // Decoded beside the page; what comes meanwhile waits, and only the newest is drawn.
     const bitmap = await createImageBitmap(new Blob([picture]));
@@ -176,33 +175,66 @@ async function mjpeg(url, put, seen, shown, signal) {
   }
 }
 
-function joined(one, two) {
-  const whole = new Uint8Array(one.length + two.length);
-  whole.set(one);
-  whole.set(two, one.length);
-  return whole;
-}
+// A multipart stream, of which only the newest whole picture counts. A stranger sends it to a page that
+// flies: each byte is copied and looked at once, by the browser's own search.
+export class Parts {
+  #bytes = new Uint8Array(1 << 16);
+  #size = 0;
+  #sought = 0;     // where the search goes on
+  #begin = null;   // of the picture; null in front of it
+  #end = null;     // of it, where its head tells that
 
-// The newest whole part of a multipart stream, and what came after it.
-function newest(data) {
-  let picture = null, left = data;
-  for (;;) {
-    const head = indexOf(left, "\r\n\r\n", 0);
-    if (head < 0) return {picture, left};
-    const said = /content-length:\s*(\d+)/i.exec(new TextDecoder("latin1").decode(left.subarray(0, head)));
-    const begin = head + 4, end = said ? begin + Number(said[1]) : indexOf(left, "\r\n--", begin);
-    if (end < 0 || end > left.length) return {picture, left};
-    picture = left.slice(begin, end);
-    left = left.subarray(end);
+  // The newest picture that these bytes made whole, or null. Throws Error: it or its head is too large.
+  add(value) {
+    if (this.#size + value.length > this.#bytes.length) {
+      const larger = new Uint8Array(2 * (this.#size + value.length));
+      larger.set(this.#bytes.subarray(0, this.#size));
+      this.#bytes = larger;
+    }
+    this.#bytes.set(value, this.#size);
+    this.#size += value.length;
+    let picture = null, done = 0;
+    for (; this.#isBegun(done); this.#begin = this.#end = null) {
+      const end = this.#end ?? this.#find("\r\n--");
+      if (Math.max(end, this.#size) - this.#begin > MOST_BYTES) throw new Error(`> ${MOST_BYTES / 1e6} MB`);
+      if (end < 0 || end > this.#size) break;
+      picture = [this.#begin, end];
+      done = this.#sought = end;
+    }
+    picture = picture && this.#bytes.slice(...picture);
+    if (done) {
+      this.#bytes.copyWithin(0, done, this.#size);
+      this.#size -= done;
+      this.#sought -= done;
+      if (this.#begin !== null) this.#begin -= done;
+      if (this.#end !== null) this.#end -= done;
+    }
+    return picture;
+  }
+
+  // Whether the head of the part that begins there is whole.
+  #isBegun(at) {
+    if (this.#begin !== null) return true;
+    const end = this.#find("\r\n\r\n");
+    if (Math.max(end, this.#sought) - at > WINDOW) throw new Error(`> ${WINDOW} B`);
+    if (end < 0) return false;
+    const said = /content-length:\s*(\d+)/i.exec(latin1.decode(this.#bytes.subarray(at, end)));
+    this.#begin = this.#sought = end + 4;
+    this.#end = said && this.#begin + Number(said[1]);
+    return true;
+  }
+
+  #find(text) {
+    for (let from = this.#sought; ; from = this.#sought) {
+      const end = Math.min(this.#size, from + WINDOW), at = latin1.decode(this.#bytes.subarray(from, end)).indexOf(text);
+      if (at >= 0) return from + at;
+      this.#sought = Math.max(from, end - text.length + 1);
+      if (end === this.#size) return -1;
+    }
   }
 }
 
-function indexOf(data, text, from) {
-  const bytes = [...text].map((one) => one.charCodeAt(0));
-  for (let at = data.indexOf(bytes[0], from); at >= 0; at = data.indexOf(bytes[0], at + 1))
-    if (bytes.every((byte, i) => data[at + i] === byte)) return at;
-  return -1;
-}
+const latin1 = new TextDecoder("latin1");  // a character for each byte
 
 // As an image of the browser, which needs no permission and tells nothing.
 async function undated(url, put, shown, signal) {
