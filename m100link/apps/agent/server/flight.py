@@ -50,6 +50,7 @@ class ActiveFlight:
         self.guiding = GuidedFlightManager(control, journal, background)
         # The setpoint to neutralise when motion has to stop; None when nothing was sent.
         self._last: Setpoint | None = None
+        self._steered: Setpoint | None = None  # the newest one of the holder of the lease
         self._running_task: asyncio.Task[None] | None = None
         self._pattern: tuple[str, asyncio.Task[None]] | None = None
         self._has_armed = False  # the motors, or is about to
@@ -79,10 +80,7 @@ class ActiveFlight:
     @property
     def is_steered(self) -> bool:
         """Whether a setpoint of the holder of the lease is being sent: not refused, not expired."""
-        last = self._last
-        if last is None or self._pattern is not None or self.guiding.order is not None:
-            return False
-        return self._control.setpoint is last
+        return self._steered is not None and self._control.setpoint is self._steered
 
     @property
     def seen_task(self) -> str | None:
@@ -115,6 +113,7 @@ class ActiveFlight:
             self.mission.require_none("a setpoint")  # which the aircraft would ignore
             self._end_program("the stick was moved")
         self._send(setpoint, lifetime)
+        self._steered = setpoint
 
     def _send(self, setpoint: Setpoint, lifetime: float) -> None:
         try:

@@ -137,7 +137,7 @@ def open_to_read(path: Path, seconds: float = READ_S) -> sqlite3.Connection:
     # of the file, is a step of hours.
     file.set_authorizer(_authorize)
     until = time.monotonic() + seconds
-    file.set_progress_handler(lambda: time.monotonic() > until, 100)
+    file.set_progress_handler(lambda: time.monotonic() > until, 1_000)
     return file
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, TypeVar
 
@@ -34,6 +35,7 @@ from m100link.apps.agent.server.flight import limits_of
 from m100link.apps.agent.server.server import AgentServer
 from m100link.apps.agent.transports import memory_channels
 from m100link.errors import UsageError
+from m100link.flight.control import Control
 from m100link.flight.guards import Envelope, Guards
 from m100link.geodesy import LocalFrame
 from m100link.missions.plan import Waypoint, WaypointPlan
@@ -752,3 +754,9 @@ async def test_the_state_tells_whether_the_holders_setpoint_goes_out_and_since_w
         front.send(Ask(7, orders.FlyPattern(1), fence))
         await front.outcome(7)
         assert set(await told(1.0)) == {None}, "the setpoints of a program are not its holder's"
+
+        async def ends_at_once(_: Control, send: Callable[[Setpoint], None]) -> None:
+            send(NORTH)
+
+        rig.holding.require().start_pattern("briefly", ends_at_once)
+        assert set(await told(1.0)) == {None}, "nor is its last one, which lives for 0.2 s"
