@@ -36,6 +36,7 @@ async def in_the_air(browser: Any) -> AsyncIterator[Flight]:
 async def flight(in_the_air: Flight) -> AsyncIterator[Flight]:
     """A page that has control of an aircraft which hovers, its pad in focus; nothing is held."""
     console, page = in_the_air
+    await look_at(page, "fly")
     await in_control(page)  # a busy machine may have taken it from a page that it did not hear
     await page.click("#pad")
     await page.keyboard.press("Digit4")
@@ -113,6 +114,12 @@ async def test_a_gamepad_flies_while_its_shoulder_button_is_held(flight: Flight)
     await until(lambda: is_still(console))
 
 
+COUNT_STOPS = """() => {
+  window.stops = 0;
+  document.querySelector("[data-act=stop]").addEventListener("stopped", () => window.stops++);
+}"""
+
+
 async def test_the_card_of_a_gamepad_moves_sticks_and_not_the_aircraft(
     flight: Flight,
 ) -> None:
@@ -156,10 +163,12 @@ async def test_the_card_of_a_gamepad_moves_sticks_and_not_the_aircraft(
     assert is_still(console)
     await shoulder(False)
     await look_at(page, "settings")
-    await page.click("#gamepad >> text=As usual")
-    assert not await page.get_by_label("inverted").nth(3).is_checked()
+    await page.click("#gamepad button >> text=As usual")
+    # The fields are drawn anew at the page's next look at the gamepad.
+    await page.wait_for_selector("#gamepad .row:nth-child(4) [type=checkbox]:not(:checked)")
+    await page.evaluate(COUNT_STOPS)
     await page.evaluate("window.pad.buttons[1] = {pressed: true}")
-    await banner(page, "STOP")
+    await page.wait_for_function("window.stops === 1")  # in this view, too
     await page.evaluate("window.pad.buttons[1] = {pressed: false}")
     await look_at(page, "fly")
 
