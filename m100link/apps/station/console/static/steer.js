@@ -255,8 +255,7 @@ export class Steering {
 
   show() {
     this.pad.querySelector("[data-level]").textContent = this.level;
-    this.pad.querySelector("[data-mode]").textContent = `${words("mode", {mode: this.mode})} · `;
-    this.pad.querySelector("[data-hint]").textContent =
-      words(this.mode === 1 ? "angles_hint" : "velocity_hint");
+    this.pad.querySelector("[data-mode]").textContent = words("mode", {mode: this.mode});
+    this.pad.querySelector("[data-hint]").textContent = ` · ${words(this.mode === 1 ? "angles_hint" : "velocity_hint")}`;
   }
 }
