@@ -135,9 +135,12 @@ class ConnectionOptions:
         """As :func:`m100link.connect`."""
         from m100link.aircraft import connect  # a station loads it in another process
 
+        url, firmware = self.url, self.settings.firmware
+        if url == "sim://" and firmware:  # it has no other that could be meant
+            url, firmware = f"sim://?firmware={firmware}", None
         return connect(
-            self.url,
-            firmware=self.settings.firmware,
+            url,
+            firmware=firmware,
             baud_rate=self.settings.baud_rate,
             timeout=self.settings.timeout,
             record=record,

@@ -46,6 +46,12 @@ def test_the_url_may_come_from_the_environment(
     assert outcome.objects[0]["firmware"] == "2.3"
 
 
+def test_a_virtual_aircraft_gets_the_firmware_that_was_asked_for(cli: CommandLine) -> None:
+    outcome = cli("info", "sim://", "--firmware", "3.1", "--duration", "0.1")
+    assert outcome.status == 0
+    assert outcome.objects[0]["version"] == "SDK-v1.0 BETA M100-03.01.01.00"
+
+
 @pytest.mark.parametrize(
     ("arguments", "verb"),
     [
