@@ -16,12 +16,13 @@ from mcap.writer import Writer
 from m100link import Credentials, Position, Velocity, connect
 from m100link.errors import M100Error
 from m100link.log import read
-from m100link.log.story import read_story
+from m100link.log.story import FlightPath, HomePoint, read_story
 from m100link.protocol.records import Battery
 from m100link.sim.line import LineFaults
 from m100link.sim.orders import perform
 from m100link.sim.ports import driver
 from m100link.sim.virtual import VirtualAircraft
+from tests.known import LATITUDE, LONGITUDE, position
 from tests.log.flight import APP_ID, KEY, fly
 
 pytestmark = pytest.mark.anyio
@@ -161,6 +162,16 @@ async def test_each_alarm_is_reported_with_its_cause(
     assert text in found[0].text
     assert begun - 1.0 <= found[0].begin_s <= begun + 5.0
     assert found[0].end_s >= found[0].begin_s
+
+
+@pytest.mark.parametrize("is_off_ground", [True, False])
+def test_where_it_is_counts_as_home_on_the_ground_alone(*, is_off_ground: bool) -> None:
+    """A recording that begins in flight does not know where the take-off was."""
+    path = FlightPath()
+    path.hear_phase(0.0, is_off_ground=is_off_ground)
+    path.add(1.0, position())
+    home = path.home(2.0)
+    assert home == (None if is_off_ground else pytest.approx(HomePoint(2.0, LATITUDE, LONGITUDE)))
 
 
 async def test_an_empty_log_has_an_empty_story(tmp_path: Path) -> None:

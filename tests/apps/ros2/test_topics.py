@@ -7,9 +7,10 @@ from typing import Any
 import anyio
 import pytest
 
+from m100link.apps.agent import orders
 from m100link.apps.ros2.graph import data_key
 from m100link.apps.ros2.publishers import ALL_OUTPUTS
-from m100link.apps.ros2.topics import DJI_OUTPUTS, INPUTS, dji_makers
+from m100link.apps.ros2.topics import DJI_OUTPUTS, INPUTS, SERVICES, dji_makers
 from m100link.log.cdr import DEFINITIONS, decode, definition
 from m100link.log.ros2 import TOPICS
 from tests.apps.ros2.conftest import Rig
@@ -40,6 +41,19 @@ async def test_each_is_published_with_the_values_of_the_sample() -> None:
         assert said(rig, "dji_sdk/imu")["linear_acceleration"]["z"] == pytest.approx(9.8, abs=0.5)
         ours = rig.said("~/imu")[-1]["orientation"]
         assert said(rig, "dji_sdk/attitude")["quaternion"] == pytest.approx(ours, abs=1e-3)
+
+
+def test_the_services_that_end_something_are_taken_by_their_order() -> None:
+    """What ends nothing may be refused as too late or too many."""
+    assert {name: row.ends for name, row in SERVICES.items() if row.ends} == {
+        "~/release_control": orders.Release,
+        "~/land": orders.Land,
+        "~/go_home": orders.GoHome,
+        "~/disarm": orders.StopMotors,
+        "~/stop": orders.Stop,
+        "~/mission/pause": orders.PauseMission,
+        "~/mission/stop": orders.StopMission,
+    }
 
 
 async def test_nobody_has_them_unasked(rig: Rig) -> None:

@@ -38,6 +38,12 @@ pytest.importorskip("uvicorn")
 pytestmark = pytest.mark.anyio
 
 
+def test_a_setting_of_zero_or_false_reaches_the_fronts_and_none_does_not() -> None:
+    found = front_settings(Settings(sim=False, port=0, metrics_port=None, tiles=Path("a.mbtiles")))
+    assert (found["port"], found["sim"], found["tiles"]) == (0, False, "a.mbtiles")
+    assert "metrics_port" not in found
+
+
 @pytest.fixture
 def anyio_backend() -> str:
     return "asyncio"
