@@ -103,6 +103,8 @@ class FlightPath:
         self.homes: list[HomePoint] = []  #: the places of take-off, in order
         self.frame: LocalFrame | None = None  #: the plane of the track; None before any place
         self._is_off_ground = self._has_flown = False
+        self._stood_once = False
+        self._flights: list[tuple[float, float]] = []  # take-off and landing; infinite until then
         self._last: tuple[float, float] | None = None  # latitude and longitude, degrees
 
     def hear_phase(self, at_s: float, *, is_off_ground: bool) -> None:
@@ -111,8 +113,21 @@ class FlightPath:
             if not self.homes:  # what was noted before was noise of the place
                 self.frame, self.track = LocalFrame(*self._last), Track()
             self.homes.append(HomePoint(at_s, *self._last))
+        if is_off_ground and not self._is_off_ground and self._stood_once:
+            self._flights.append((at_s, math.inf))
+        elif self._is_off_ground and not is_off_ground and self._flights:
+            self._flights[-1] = self._flights[-1][0], at_s
+        self._stood_once |= not is_off_ground
         self._is_off_ground = is_off_ground
         self._has_flown |= is_off_ground
+
+    def airborne_s(self, at_s: float) -> float | None:
+        """How long it has flown since the last take-off before that time, s; None: none was seen.
+
+        Of a flight that is over, all of it.
+        """
+        begun = [flight for flight in self._flights if flight[0] <= at_s]
+        return min(at_s, begun[-1][1]) - begun[-1][0] if begun else None
 
     @property
     def version(self) -> tuple[int, bool]:

@@ -27,6 +27,7 @@ from tests.browser.conftest import (
 from tests.browser.operator import (
     airborne,
     banner,
+    fold,
     hold_key,
     hold_until,
     in_control,
@@ -197,8 +198,11 @@ async def test_a_photo_is_one_tap_and_the_camera_looks_where_it_is_dragged(brows
     async with console_in_browser(browser, "--firmware", "3.1") as console:
         page = await console.open()
         await in_control(page)
+        await fold(page, "camera", is_shown=False)
         await press_for(page, "photo", "#camera-state", "photo sent")
         await shows(page, "#camera-state", "not confirmed")
+        assert await page.is_visible("#camera-state"), "said although the card is folded"
+        await fold(page, "camera", is_shown=True)
         box = await page.locator(".look").bounding_box()
         x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
         await page.mouse.move(x, y)

@@ -419,6 +419,26 @@ def test_a_long_curve_has_no_holes_between_its_own_spans() -> None:
     assert sum(math.isnan(value) for _, value in curve.points()) == 1
 
 
+def test_a_flight_counts_from_its_take_off_to_its_landing() -> None:
+    path = FlightPath()
+    assert path.airborne_s(5.0) is None
+    path.hear_phase(1.0, is_off_ground=True)  # it flew before anybody looked: for how long?
+    assert path.airborne_s(5.0) is None
+    for at, is_off_ground in ((10.0, False), (20.0, True), (25.0, True), (80.5, False)):
+        path.hear_phase(at, is_off_ground=is_off_ground)
+    path.hear_phase(100.0, is_off_ground=True)
+    seconds = {
+        10.0: None,
+        20.0: 0.0,
+        31.5: 11.5,
+        80.5: 60.5,
+        99.0: 60.5,
+        100.0: 0.0,
+        3701.0: 3601.0,
+    }
+    assert {at: path.airborne_s(at) for at in seconds} == seconds
+
+
 def test_before_a_take_off_home_is_where_it_stands_and_else_the_first_one() -> None:
     path = FlightPath()
     path.add(1.0, health(5))

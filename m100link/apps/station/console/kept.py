@@ -141,6 +141,7 @@ class PlotHistory:
         self._columns = {name: array("d", [math.nan]) * self._size for name in COLUMNS}
         # Seconds that the event loop of this process was late, at worst in the last second.
         self.lag = 0.0
+        self.newest = -math.inf  # time of the newest row, as :attr:`path` has it, s
         self.path = FlightPath()
         self.recorded: Recorded | None = None  # of a replay, once its file was read
         self.fault = ""  # why a file could not be read
@@ -174,7 +175,7 @@ class PlotHistory:
 
     def add(self, utc: float, view: VehicleView) -> None:
         """Add a row. ``utc``: seconds since 1970."""
-        place = self.count % self._size
+        place, self.newest = self.count % self._size, utc
         self._times[place] = utc
         for name, value in zip(COLUMNS, self._row(view), strict=True):
             self._columns[name][place] = math.nan if value is None else float(value)

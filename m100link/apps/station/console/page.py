@@ -220,7 +220,10 @@ class Page:
 
     def _view(self) -> ViewModel:
         agent, tab, tabs = self._agent, self._tab, self._context.tabs
-        is_data = self._shown == "data"
+        is_data, flight, history = self._shown == "data", self._flight(), self._context.history
+        path, at = (
+            (history.path, history.newest) if flight is None else (flight.story.path, flight.at)
+        )
         dropped = (*tabs.dropped().items(), *tabs.dropped_by_clients().items()) if is_data else ()
         return view_of(
             Inputs(
@@ -229,10 +232,11 @@ class Page:
                 refusal=tab.refusal,
                 plan=agent.plan,
                 events=tuple(agent.events),
-                flight=self._flight(),
-                flight_fault=self._context.history.fault,
+                airborne_s=path.airborne_s(at),
+                flight=flight,
+                flight_fault=history.fault,
                 link=agent.link,
-                front_lag=self._context.history.lag,
+                front_lag=history.lag,
                 page_trip=tab.way.round_trip,
                 fleet=self._fleet(),
                 dropped=dropped,

@@ -741,6 +741,7 @@ async def test_track_and_home_are_kept_for_pages_that_come_later(rig: Rig) -> No
     home = history.path.home(time.time())
     assert home is not None
     assert home[1:] == pytest.approx((stood.latitude_deg, stood.longitude_deg), abs=1e-6)
+    assert history.path.airborne_s(history.newest) is None
     rig.aircraft.stall_line()
     await anyio.sleep(1.0)
     again = history.path.home(time.time())

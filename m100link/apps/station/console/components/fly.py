@@ -158,9 +158,14 @@ class HudPart:
             horizon = ui.element("canvas").props("id=horizon role=img")
         wording.put(component.attribute(hud), "page.fold.horizon")
         wording.put(component.attribute(horizon), "instruments.horizon")
-        with hud, ui.element("div").classes("card camera").props("id=camera"):
+        photo = partial(self._use, "photo", CameraUse.PHOTO)
+        with _place("shutter"):  # on the map: one tap, whatever is folded
+            add("photo", "camera.photo", photo, kind="plain")
+        self._card = ui.element("div").classes("card camera").props("id=camera")
+        self._card.move(hud)
+        with self._card:
             with ui.element("div").classes("acts"):
-                for name, use in _USES.items():
+                for name, use in _VIDEO_USES.items():
                     add(name, f"camera.{name}", partial(self._use, name, use), kind="plain")
                 add("gimbal_centre", "camera.centre", self._centre, kind="plain")
             look = ui.element("div").classes("stick look").props('data-axes="yaw,pitch" role=img')
@@ -174,7 +179,6 @@ class HudPart:
             wording.put(component.attribute(self._pitch), "camera.pitch")
             self._state = ui.label().props("id=camera-state role=status")
         ui.on("looked", self._looked)
-        photo = partial(self._use, "photo", _USES["photo"])
         ui.on("photo_pressed", lambda: page.buttons.ask("photo", photo), args=[])
 
     async def _use(self, name: str, use: CameraUse) -> None:
@@ -222,12 +226,14 @@ class HudPart:
         if self._asked is not None:
             name, at = self._asked
             ago = round(self._page.agent.now - at)
+            is_new = ago < _SAID_S
+            self._card.classes(add="asked" if is_new else "", remove="" if is_new else "asked")
             text += " · " + said(tr(f"camera.{name}.asked", seconds=ago))
         self._state.set_text(text if is_offered or self._asked else said(Text("camera.none")))
 
 
-_USES = {
-    "photo": CameraUse.PHOTO,
+_SAID_S = 10.0  # for which a folded card says what was asked of the camera
+_VIDEO_USES = {
     "video_start": CameraUse.START_VIDEO,
     "video_stop": CameraUse.STOP_VIDEO,
 }

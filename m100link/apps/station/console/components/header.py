@@ -44,6 +44,7 @@ _VALUES = {
     "gps": "satellite_alt",
     "height": "height",
     "speed": "speed",
+    "flight_time": "timer",
 }
 """The values at the top, with their icons; the page itself adds the age of the link."""
 

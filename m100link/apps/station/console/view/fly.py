@@ -11,7 +11,7 @@ from typing import Any
 from m100link.apps.agent.client import VehicleView
 from m100link.apps.agent.latency import MAX_ROUND_TRIP
 from m100link.apps.station.console.view.situation import Inputs, Situation
-from m100link.apps.station.console.view.texts import Quantity, Text, tr
+from m100link.apps.station.console.view.texts import Quantity, Text, clock, tr
 from m100link.protocol import records
 from m100link.protocol.commands.gimbal import TakePhoto
 from m100link.protocol.firmware import PROFILES
@@ -385,7 +385,8 @@ def read(field: FieldSpec, view: VehicleView) -> FieldReading:
 
 @dataclass(frozen=True, slots=True)
 class Instruments:
-    readings: dict[str, FieldReading]  # a reading by the name of each of :data:`FIELDS`
+    # A reading by the name of each of :data:`FIELDS`, and ``flight_time``.
+    readings: dict[str, FieldReading]
     # Roll, pitch and yaw, degrees; None when nobody knows.
     attitude: tuple[float, float, float] | None
 
@@ -394,8 +395,12 @@ def instruments_of(inputs: Inputs) -> Instruments:
     """The instruments as they are now; values of an agent that is not heard any more are old."""
     view = inputs.vehicle
     attitude = view.get(records.Attitude)
+    readings = {field.name: read(field, view) for field in FIELDS}
+    flown, phase = inputs.airborne_s, readings["flight_status"]
+    time = tr("instruments.nothing") if flown is None else _value(clock(flown))
+    readings["flight_time"] = FieldReading(time, phase.is_stale, phase.note)
     return Instruments(
-        {field.name: read(field, view) for field in FIELDS},
+        readings,
         (attitude.roll_deg, attitude.pitch_deg, attitude.yaw_deg) if attitude is not None else None,
     )
 

@@ -17,7 +17,7 @@ from m100link.apps.station.console.view.situation import (
     Ship,
     Situation,
 )
-from m100link.apps.station.console.view.texts import Quantity, Text, tr
+from m100link.apps.station.console.view.texts import Quantity, Text, clock, tr
 from m100link.missions.plan import WaypointPlan
 from m100link.protocol.records import Battery, Device, Position, RcMode
 from m100link.telemetry.integrity import MAX_TELEMETRY_AGE
@@ -243,8 +243,8 @@ def replay_of(
         title=tr("replay.title", name=PurePath(source.path).name),
         place=tr(
             "replay.at",
-            position=_clock(source.position_s),
-            duration=_clock(source.duration_s),
+            position=clock(source.position_s),
+            duration=clock(source.duration_s),
             when=when,
         ),
         note=note,
@@ -253,12 +253,6 @@ def replay_of(
         alarm_before=None if before is None else source.position_s + before,
         alarm_after=None if after is None else source.position_s + after,
     )
-
-
-def _clock(seconds: float) -> str:
-    whole = int(seconds)
-    hours, minutes = whole // 3600, whole // 60 % 60
-    return f"{hours}:{minutes:02d}:{whole % 60:02d}" if hours else f"{minutes}:{whole % 60:02d}"
 
 
 # -- the aircraft of the station -------------------------------------------------------------------

@@ -203,6 +203,7 @@ class Inputs:
     events: tuple[Event, ...] = ()  # what happened lately, oldest first
     flight: RecordedFlight | None = None  # of a replay, once its file was read
     flight_fault: str = ""  # why it cannot be read
+    airborne_s: float | None = None  # since the last take-off; None when none was seen
     link: LinkCounted | None = None  # what was counted on the line; None while there is none
     front_lag: float = 0.0  # seconds that the front was late at worst in the last second
     page_trip: float | None = None  # seconds to the page and back

@@ -282,3 +282,10 @@ def _read(value: object, default: Any) -> Any:
     if type(value) is not type(default):
         return default
     return value[:64] if isinstance(value, str) else value
+
+
+def clock(seconds: float) -> str:
+    """Seconds as ``m:ss``, from an hour on as ``h:mm:ss``."""
+    whole = int(seconds)
+    hours, minutes = whole // 3600, whole // 60 % 60
+    return f"{hours}:{minutes:02d}:{whole % 60:02d}" if hours else f"{minutes}:{whole % 60:02d}"

@@ -360,11 +360,25 @@ async def test_each_field_has_its_reading_and_grows_old(rig: Rig) -> None:
     telemetry = rig.front.telemetry
     assert isinstance(telemetry, AircraftState)
     shown = instruments_of(Inputs(vehicle=seen(telemetry)))
-    assert set(shown.readings) == {field.name for field in FIELDS}
+    assert set(shown.readings) == {field.name for field in FIELDS} | {"flight_time"}
     assert not shown.readings["heading"].is_stale
     attitude = telemetry.get(Attitude)
     assert attitude is not None
     assert shown.attitude == (attitude.roll_deg, attitude.pitch_deg, attitude.yaw_deg)
+
+
+@pytest.mark.parametrize(
+    ("seconds", "said"), [(None, "–"), (0.9, "0:00"), (185.2, "3:05"), (3605.0, "1:00:05")]
+)
+async def test_the_time_since_take_off_grows_old_with_the_flight_status(
+    rig: Rig, seconds: float | None, said: str
+) -> None:
+    await anyio.sleep(1.5)  # the flight status comes once a second
+    telemetry = rig.front.telemetry
+    for at, is_stale in ((rig.front.now, False), (rig.front.now + 60.0, True)):
+        shown = instruments_of(Inputs(vehicle=seen(telemetry, at), airborne_s=seconds))
+        reading = shown.readings["flight_time"]
+        assert (Translator()(reading.text), reading.is_stale) == (said, is_stale)
 
 
 async def test_the_socket_tells_speed_over_ground_and_where_to(rig: Rig) -> None:
@@ -385,7 +399,7 @@ async def test_heights_and_speeds_are_in_the_units_and_the_language_that_were_ch
     assert said(readings["speed"].text) == "0,0 km/h"
     assert said(readings["climb"].text) == "+0,0 km/h"
     assert said(readings["flight_status"].text) == "am Boden"
-    assert said(readings["gps"].text) == "5/5"
+    assert said(readings["gps"].text) == "Güte 5 von 5"
 
 
 @pytest.mark.parametrize("field", FIELDS, ids=lambda field: field.name)

@@ -67,7 +67,8 @@ def heard(*changed: Any, age: float = 0.25) -> AircraftState:
 INSTRUMENTS = {
     "flight_status": ("in the air", "in der Luft", "in the air"),
     "battery": ("63 %", "63 %", "63 %"),
-    "gps": ("4/5", "4/5", "4/5"),
+    "gps": ("health 4 of 5", "Güte 4 von 5", "health 4 of 5"),
+    "flight_time": ("–", "–", "–"),
     "height": ("12.3 m", "40,5 ft", "12.3 m"),
     "altitude": ("87.7 m", "287,6 ft", "87.7 m"),
     "latitude": ("-33.123457°", "-33.123457°", "-33.123457°"),
@@ -137,7 +138,7 @@ def test_what_goes_down_below_or_the_other_way_has_its_sign() -> None:
             **{"height": "-12.3 m", "altitude": "-3.2 m", "speed": "3.6 m/s", "climb": "-0.8 m/s"},
             **{"latitude": "33.500000°", "longitude": "-70.250000°", "flight_status": "landing"},
             **{"gimbal": "roll -5° pitch 37° yaw -119°"},
-            **{"gps": "2/5, too low"},
+            **{"gps": "health 2 of 5, too low"},
         }
         == said
     )
@@ -164,8 +165,8 @@ def test_the_attitude_is_in_degrees_of_roll_pitch_and_yaw() -> None:
     ("age", "old"),
     [
         (1.1, set()),
-        (1.3, set(INSTRUMENTS) - {"battery", "flight_status"}),
-        (2.4, set(INSTRUMENTS) - {"battery", "flight_status"}),
+        (1.3, set(INSTRUMENTS) - {"battery", "flight_status", "flight_time"}),
+        (2.4, set(INSTRUMENTS) - {"battery", "flight_status", "flight_time"}),
         (2.6, set(INSTRUMENTS) - {"battery"}),
         (4.9, set(INSTRUMENTS) - {"battery"}),
         (5.1, set(INSTRUMENTS)),
