@@ -173,7 +173,9 @@ def test_actions_are_a_line_of_text_and_come_back() -> None:
     assert actions_of("") == ()
 
 
-@pytest.mark.parametrize("text", ["dance", "photo 3", "stay", "stay x", "stay nan", "pitch -6 0"])
+@pytest.mark.parametrize(
+    "text", ["dance", "photo 3", "stay", "stay x", "stay nan", "stay inf", "pitch -6 0"]
+)
 def test_what_is_not_an_action_is_reported(text: str) -> None:
     with pytest.raises(UsageError, match="is not an action"):
         actions_of(text)
