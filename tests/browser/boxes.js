@@ -46,7 +46,7 @@
 
   // What stands over the map stands beside, not over, each other; parts of one card are one.
   const over = [...document.querySelectorAll(
-    "#header, #dock, .place.tools, .place.hud > *, .place.prepared > *, .place .stick, .legend, .map-tools, .map-home, .map-source, section[data-view=plan]"
+    "#header, #dock, .place.tools, .place.hud > *, .place.prepared > *, .place .stick, .legend, .map-tools, .map-home, section[data-view=plan]"
   )].filter((one) => isSeen(one) && one.getBoundingClientRect().width);
   const clipped = (one) => {
     const place = one.closest(".place"), b = one.getBoundingClientRect();
