@@ -185,6 +185,7 @@ def test_heights_count_from_home() -> None:
         (item(205, -45, 0, 30, 0, 0, 0, 2), "yaw 30 is not possible"),
         (item(205, -45, 0, 0, 0, 0, 0, 4), "mode 4 of the mount"),
         (item(1000, None), "it has no pitch"),
+        (item(1000, -9, 5), "yaw 5 is not possible"),
         (item(1000, -9, 0, 5), "pitch_rate 5 is not possible"),
         (item(206, 1), "and the M100 stops at each"),
         (item(206, -1), "photographs -1 m apart"),
