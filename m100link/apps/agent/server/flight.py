@@ -85,8 +85,10 @@ class ActiveFlight:
     @property
     def seen_task(self) -> str | None:
         """The task that the autopilot flies, also before and behind a mission."""
+        if self.task is not None:
+            return self.task
         flown = self.mission.task
-        return self.task if flown is None else task_name(flown)
+        return None if flown is None else task_name(flown)
 
     @property
     def flown(self) -> Flown:
