@@ -164,7 +164,7 @@ def test_what_cannot_be_a_place_is_no_fix(place: Position) -> None:
 
 
 def test_whose_app_it_is_stands_in_no_log() -> None:
-    """Neither of an activation nor of one that cannot be read, by whoever sends it."""
+    """An activation loses it in each direction, one that cannot be read too."""
     app_id = b"\xe5\x91\x3c\x7a"
     whole = b"\x00\x01" + app_id + bytes(8) + b"12345678901234567890123456789012"
     for data, told_of in ((whole, {}), (whole[:-9], {"problem": "unreadable"})):

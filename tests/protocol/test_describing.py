@@ -114,7 +114,7 @@ def test_a_frame_of_many_reads_is_known_as_it_was_sent() -> None:
 
 
 def test_what_the_document_does_not_have_is_said_with_each_command() -> None:
-    """Later commands have their fields as on the wire; firmware that lacks one is told."""
+    """Later commands have their fields as on the wire; a note names firmware that lacks one."""
     rates = encode_frame(b"\x00\x10" + bytes(range(16)), session=2, sequence=1)
     later, old = (Describer(profile(name)).feed(rates)[0] for name in ("3.1", "1.0"))
     assert later["command"] == old["command"] == "set_telemetry_rates"

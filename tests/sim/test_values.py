@@ -23,7 +23,7 @@ from tests.sim.host import Host
 
 
 class Chance:
-    """Draws what it is told to, in order; between two bursts of noise a quarter of a second."""
+    """Draws the given numbers in order; a quarter of a second lies between two bursts of noise."""
 
     def __init__(self, shares: Iterable[float] = (), whole: Iterable[int] = ()) -> None:
         self.shares, self.whole = list(shares), list(whole)

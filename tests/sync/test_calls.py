@@ -161,7 +161,7 @@ def test_how_a_block_ends_is_passed_on(kind: type[Any], real: type[Any]) -> None
 
 @pytest.mark.parametrize("seconds", [None, 0.25])
 def test_iterating_waits_as_long_as_the_subscription_was_told(seconds: float | None) -> None:
-    """And :meth:`get` as long as it is told itself."""
+    """:meth:`get` waits as long as its own argument says."""
     waited: list[float | None] = []
 
     class Told(steering.Subscription[int]):

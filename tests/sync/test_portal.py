@@ -255,7 +255,7 @@ def test_what_ends_a_loop_that_ran_is_told_by_its_thread(monkeypatch: pytest.Mon
 
 
 def test_what_waits_in_a_task_and_fails_as_errors_do_is_silent(portal: Portal) -> None:
-    """Others are told by the event loop, as of any task."""
+    """The event loop reports all other errors, as those of any task."""
     order: list[str] = []
 
     async def refused() -> None:

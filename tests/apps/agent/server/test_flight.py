@@ -223,7 +223,7 @@ async def test_a_client_that_waits_for_the_end_of_a_mission_hears_that_it_was_fl
     assert not rig.holding.require().mission.is_flying
 
 
-@pytest.mark.parametrize("how", ["halt", "stop", "mission stop", "pilot", "lease"])
+@pytest.mark.parametrize("how", ["hover", "stop", "mission stop", "pilot", "lease"])
 async def test_a_client_that_waits_for_the_end_of_a_mission_hears_what_ended_it(
     waypoints: Rig, how: str
 ) -> None:
@@ -237,17 +237,7 @@ async def test_a_client_that_waits_for_the_end_of_a_mission_hears_what_ended_it(
 
         group.start_soon(wait)
         await rig.until(lambda: speed(rig) > 3.0)
-        if how == "halt":
-            rig.agent.hover("somebody")
-        elif how == "stop":
-            await rig.agent.stop()
-        elif how == "mission stop":
-            await rig.agent.ask(orders.StopMission(), rig.token)
-        elif how == "pilot":
-            rig.aircraft.vehicle.remote.set_mode("P")
-        else:
-            rig.renewing.cancel()
-            rig.agent.leases.release(rig.token, rig.agent.now)
+        await end_by(rig, how)
         await anyio.sleep(10.0)
     await anyio.sleep(3.0)
     assert speed(rig) < 0.1

@@ -97,15 +97,15 @@ async def test_where_it_stands_is_reported_with_every_answer(asked: Conductor) -
 
 
 @pytest.mark.parametrize(
-    ("is_landing", "told"), [(True, ShowStage.FLYING), (False, ShowStage.FLOWN)]
+    ("is_landing", "expected"), [(True, ShowStage.FLYING), (False, ShowStage.FLOWN)]
 )
 async def test_a_show_is_flown_when_its_landing_has_ended(
-    asked: Conductor, monkeypatch: pytest.MonkeyPatch, is_landing: bool, told: ShowStage
+    asked: Conductor, monkeypatch: pytest.MonkeyPatch, is_landing: bool, expected: ShowStage
 ) -> None:
     performer = asked.service.performer
     performer.stage = ShowStage.FLOWN
     monkeypatch.setattr(type(performer), "is_landing", property(lambda _: is_landing))
-    assert stage(await asked.order(AskShow(""))) is told
+    assert stage(await asked.order(AskShow(""))) is expected
 
 
 async def test_an_order_that_the_network_brings_twice_is_done_once(asked: Conductor) -> None:

@@ -362,7 +362,7 @@ async def test_a_file_that_is_replaced_or_filled_is_read_anew(tmp_path: Path) ->
 async def test_a_disk_that_stands_still_costs_tiles_and_nothing_else(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # A FIFO that nobody writes holds up whoever opens it, as a disk does that stands still.
+    # A FIFO without a writer holds up its reader, as a disk that stands still does.
     os.mkfifo(tmp_path / "map")
     monkeypatch.setattr(tiles, "PATIENCE_S", 0.05)
     app = MapTiles(tmp_path / "map")
