@@ -413,10 +413,14 @@ class Agent:
             self.holding.let_go()  # nobody knows what flies: the end of the control block ends it
             raise
         if is_in_task or self._unclaimed is not None:
-            await self.give_back()
-            if self.holding.orphaned.owed is Owed.NOTHING:
-                self.journal.note("control authority was given back to end the task", "warning")
+            await self.end_task()
         await self.holding.insist()
+
+    async def end_task(self) -> None:
+        """End what the autopilot flies by itself; no command does, so authority goes back."""
+        await self.give_back()
+        if self.holding.orphaned.owed is Owed.NOTHING:
+            self.journal.note("control authority was given back to end the task", "warning")
 
     async def _is_rid_of_missions(self, flying: ActiveFlight) -> bool:
         """Wait for the stop of any mission; False: the aircraft may fly it on."""
@@ -542,6 +546,17 @@ async def _set_speed(call: OrderContext, order: orders.SetMissionSpeed) -> Answe
     return "", round(await flight.set_speed(order.speed) * 1000)
 
 
+async def _stop_mission(call: OrderContext, _: orders.StopMission) -> None:
+    # No command ends the take-off before it: the aircraft would climb to its 1.2 m all the same.
+    # In the air it shall hover, and go on to obey: a landing often comes next.
+    stands = call.flying.mission.stands
+    try:
+        await call.flying.order_mission("stop")
+    finally:
+        if stands:
+            await call.agent.end_task()
+
+
 def _circle(call: OrderContext) -> HotpointFlight:
     return call.flying.mission.flight(HotpointFlight)
 
@@ -576,7 +591,7 @@ HANDLERS: dict[type[Order], Callable[[OrderContext, Any], Any]] = {
     orders.OrderReplay: _order_replay,
     orders.UploadPlan: _upload_plan,
     orders.StartMission: _start_mission,
-    orders.StopMission: lambda call, _: call.flying.order_mission("stop"),
+    orders.StopMission: _stop_mission,
     orders.PauseMission: lambda call, _: call.flying.order_mission("pause"),
     orders.ResumeMission: lambda call, _: call.flying.order_mission("resume"),
     orders.SetMissionSpeed: _set_speed,

@@ -32,6 +32,7 @@ _NAMES: dict[object, str] = {
 _WAYS_DOWN = {AtEnd.GO_HOME: Task.GO_HOME, AtEnd.LAND: Task.LAND}
 
 _STOP_AGAIN_S = 0.5  # between a stop that got no answer and the next one
+_LEFT_GROUND_M = 0.3  # a barometer drifts by less in the seconds of a start
 
 MissionListener = Callable[[events.MissionEvent], None]
 """Called with each event, progress excepted."""
@@ -73,6 +74,13 @@ class ActiveMission:
         if self.is_landing:
             return self._way_down
         return self._control.unended_task if self.watch is not None and not self._flight else None
+
+    @property
+    def stands(self) -> bool:
+        """Whether its take-off is under way and has not left the ground, by the height."""
+        position = self._control.state.position
+        is_low = position is not None and position.height_m < _LEFT_GROUND_M
+        return self.task is Task.TAKE_OFF and is_low
 
     def require_none(self, what: str) -> None:
         """Refuse what the aircraft would ignore. Raises MissionRunning: a mission flies."""

@@ -338,10 +338,10 @@ PARTS: dict[str, tuple[Callable[[Rig], bool], str | None]] = {
 GOES_ON = {
     (how, part): to
     for how in ("hover", "mission stop", "lease")
-    # A take-off of the autopilot ends at 1.2 m, and a way down that was planned on the ground; a
-    # loss of the lease gives authority back, which ends the take-off.
+    # A take-off of the autopilot ends at 1.2 m, and a way down that was planned on the ground. What
+    # gives authority back ends the take-off: a loss of the lease, and a mission stop on the ground.
     for part, to in {"motors": 1.2, "climb": 1.2, "home": 0.0, "land": 0.0}.items()
-    if to == 0.0 or how != "lease"
+    if to == 0.0 or how == "hover" or (how, part) == ("mission stop", "climb")
 }
 
 
