@@ -542,7 +542,7 @@ class ControlSession:
     async def bring_down(
         self, task: orders.Order, asked_at: float, accepted: Callable[[], None] | None = None
     ) -> None:
-        """Land, here or at home, and stop a mission before it. Raises as :meth:`ask`.
+        """Land, here or at home. Raises as :meth:`ask`.
 
         Asked again for a minute while it is refused or unanswered: a task that was broken off takes
         its time to end, and without an answer nobody knows. A STOP since ``asked_at`` ends it.
@@ -552,12 +552,9 @@ class ControlSession:
         while not agent.view.is_on_ground:
             try:
                 await agent.ask(task, lease, accepted, asked_at)
-            except _BROUGHT_DOWN_AGAIN as error:
+            except _BROUGHT_DOWN_AGAIN:
                 if agent.now >= until or self._lease is not lease:
                     raise
-                if isinstance(error, errors.MissionRunning):
-                    with suppress(errors.M100Error):  # it may be over by now
-                        await agent.ask(orders.StopMission(), lease, asked_at=asked_at)
                 await asyncio.sleep(RENEWAL_S)
             else:
                 return

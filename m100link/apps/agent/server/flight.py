@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Callable, Coroutine
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
@@ -16,7 +17,14 @@ from m100link.apps.agent.lease import Flown
 from m100link.apps.agent.messages import GuardLimits, Journal
 from m100link.apps.agent.preview import preview
 from m100link.apps.agent.server.mission import ActiveMission
-from m100link.errors import GuardRefused, M100Error, NotObserved, TaskRefused, UsageError
+from m100link.errors import (
+    GuardRefused,
+    M100Error,
+    MissionRunning,
+    NotObserved,
+    TaskRefused,
+    UsageError,
+)
 from m100link.flight import foresight
 from m100link.flight.control import Control
 from m100link.flight.guards import Guards
@@ -151,9 +159,9 @@ class ActiveFlight:
     # -- tasks -----------------------------------------------------------------------------------
 
     async def fly(self, task: Task, accepted: Callable[[], None] = ignore) -> None:
-        """Take off, land or go home; done when seen to be done."""
+        """Take off, land or go home; done when seen to be done. A way down stops any mission."""
         name = task.name.lower().replace("_", " ")
-        self._make_room(name)
+        self._make_room(name, ends_mission=task is not Task.TAKE_OFF)
         self.task = name
         work = self._running_task = self._background.spawn(self._fly(task, name, accepted), name)
         try:
@@ -168,13 +176,14 @@ class ActiveFlight:
                 ) from None
             raise
 
-    def _make_room(self, name: str) -> None:
+    def _make_room(self, name: str, *, ends_mission: bool = False) -> None:
         """End a program for another order; a task or a mission refuses that one instead."""
         if self.task is not None:
             raise TaskRefused(
                 f"{name} was asked for during {self.task}", remedy="wait for its end, or stop it"
             )
-        self.mission.require_none(name)
+        if not ends_mission or self.mission.is_landing:
+            self.mission.require_none(name)
         self._end_program(f"{name} was asked for")
         self._end_setpoints()
 
@@ -192,7 +201,17 @@ class ActiveFlight:
         outcome, level = f"{name} is done", "info"
         try:
             self._journal.note(f"{name} begins")
-            await run(progress=None if accepted is ignore else progress)
+            listener = None if accepted is ignore else progress
+            if task is not Task.TAKE_OFF:
+                await self.mission.let_go()
+            try:
+                await run(progress=listener)
+            except MissionRunning:  # somebody else's
+                if task is Task.TAKE_OFF:
+                    raise
+                with suppress(M100Error):  # a way down breaks off what does not answer
+                    await control.stop_mission()
+                await run(progress=listener)
         except M100Error as error:
             outcome, level = f"{name}: {error.seen}", "error"
             raise

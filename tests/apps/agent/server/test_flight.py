@@ -17,6 +17,7 @@ from m100link.apps.agent.lease import Flown, LeaseRefused
 from m100link.apps.agent.messages import Event, EventTopic
 from m100link.apps.agent.orders import GuidedOrder
 from m100link.apps.agent.server.authority import HoldingState
+from m100link.apps.agent.server.mission import look_at
 from m100link.errors import (
     BadSetpoint,
     GuardRefused,
@@ -247,10 +248,70 @@ async def test_a_stop_of_a_mission_makes_way_for_what_comes_next(waypoints: Rig)
     rig = waypoints
     await mission(rig, away(rig, 60, 80))
     with pytest.raises(MissionRunning):
-        await rig.agent.ask(orders.Land(), rig.token)
+        await rig.agent.ask(orders.TakeOff(), rig.token)
     await rig.agent.ask(orders.StopMission(), rig.token)
     await rig.agent.ask(orders.Land(), rig.token)
     assert rig.aircraft.height < 0.1
+
+
+@pytest.mark.parametrize("order", [orders.Land(), orders.GoHome()])
+@pytest.mark.parametrize("part", ["upload", "way", "of another program"])
+async def test_a_way_down_stops_the_mission_that_flies(
+    waypoints: Rig, order: orders.Order, part: str
+) -> None:
+    """An operator who holds Land is not told to stop the mission first."""
+    rig = waypoints
+    place = rig.aircraft.position[:2]
+    flying = rig.holding.require()
+    if part == "of another program":
+        aircraft = rig.agent.connection.require_aircraft()
+        flight = flying._control.waypoint_mission(away(rig, 60, 80))
+        async with flight:
+            await anyio.sleep(2.0)
+            flight.detach()
+        await rig.until(lambda: aircraft.mission.is_running)
+    else:
+        work = rig.agent.background.spawn(mission(rig, away(rig, 60, 80)), "mission")
+        work.add_done_callback(look_at)
+    await rig.until(lambda: flying.mission.is_flying if part == "upload" else speed(rig) > 1.0)
+    before = rig.aircraft.position[:2]
+    await rig.agent.ask(order, rig.token)
+    assert rig.aircraft.height < 0.1
+    wanted = before if isinstance(order, orders.Land) else place
+    assert math.dist(rig.aircraft.position[:2], wanted) < 3.0
+    assert not flying.mission.is_flying
+    assert not rig.agent.connection.require_aircraft().mission.is_running
+
+
+async def test_a_way_down_that_was_planned_refuses_another(waypoints: Rig) -> None:
+    rig = waypoints
+    await mission(rig, away(rig, 20, 30, at_end=AtEnd.LAND))
+    await rig.until(lambda: rig.holding.require().mission.is_landing, within=60.0)
+    with pytest.raises(MissionRunning):
+        await rig.agent.ask(orders.GoHome(), rig.token)
+    await rig.until(lambda: rig.aircraft.height < 0.1, within=60.0)
+
+
+@pytest.mark.parametrize("after", [0.0, 0.02, 0.05, 0.1, 0.3])
+async def test_stop_ends_a_landing_that_waits_for_the_stop_of_a_mission(
+    waypoints: Rig, after: float
+) -> None:
+    rig = waypoints
+    await mission(rig, away(rig, 60, 80))
+    await rig.until(lambda: speed(rig) > 1.0)
+    rig.aircraft.line.stall(to_aircraft=False)  # the answer to the stop waits
+    height = rig.aircraft.height
+    landing = rig.agent.background.spawn(rig.agent.ask(orders.Land(), rig.token), "landing")
+    landing.add_done_callback(look_at)
+    await anyio.sleep(after)
+    stop = rig.agent.background.spawn(rig.agent.stop(), "stop")
+    stop.add_done_callback(look_at)
+    await anyio.sleep(0.2)
+    rig.aircraft.line.stall(to_host=False, to_aircraft=False)
+    await anyio.sleep(15.0)
+    assert landing.done()
+    assert rig.aircraft.height == pytest.approx(height, abs=0.5)
+    assert speed(rig) < 0.1
 
 
 async def test_a_stop_ends_a_mission_that_has_not_begun(waypoints: Rig) -> None:

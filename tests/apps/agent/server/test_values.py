@@ -113,7 +113,7 @@ TABLE: list[tuple[orders.Order, list[Any]]] = [
     (orders.UseCamera(CameraUse.STOP_VIDEO), [call.aircraft.camera.stop_video()]),
     (orders.SendToMobile(b"x"), [call.aircraft.send_to_mobile(b"x")]),
     (orders.OrderReplay("seek 3"), [call.agent.replay.order("seek 3")]),
-    (orders.StopMission(), [call.flying.order_mission("stop")]),
+    (orders.StopMission(), [call.flying.order_mission("stop"), call.agent.end_task()]),
     (orders.PauseMission(), [call.flying.order_mission("pause")]),
     (orders.ResumeMission(), [call.flying.order_mission("resume")]),
     (orders.SetMissionSpeed(3.25), [*of_plan, _circle.set_speed(3.25)]),
@@ -147,6 +147,7 @@ def test_the_table_has_every_order() -> None:
 async def test_what_the_library_is_asked_for(order: orders.Order, expected: list[Any]) -> None:
     context: Any = MagicMock()
     context.token, context.accepted, context.agent.now = "token", "accepted", 12.5
+    context.flying.mission.stands = True
     context.agent.connection.version = SimpleNamespace(name="M100", crc=0x1234)
     context.agent.plan = messages.PlanChanged("n", UPLOAD)
     aircraft = context.aircraft
@@ -156,7 +157,8 @@ async def test_what_the_library_is_asked_for(order: orders.Order, expected: list
         one.side_effect = AsyncMock(return_value=None)
     flight = context.flying.mission.flight.return_value
     flight.set_speed.side_effect = AsyncMock(return_value=3.2456)  # what the aircraft flies
-    context.flying.start_mission.side_effect = AsyncMock(return_value=None)
+    for one in (context.flying.start_mission, context.flying.order_mission, context.agent.end_task):
+        one.side_effect = AsyncMock(return_value=None)
     answer = HANDLERS[type(order)](context, order)
     if inspect.iscoroutine(answer):
         answer = await answer
