@@ -2,13 +2,15 @@
 
 Where others take the processors, a loop that should tick each 20 ms stands still for half a second;
 the library then ends what it flies, as it should, and a test that wanted a flight fails. Such a
-test is repeated once. If it fails again on a machine that stands still, it is neither passed nor
-failed: it is not judged, and counted. On a quiet machine hardly any may be.
+test is repeated. If it fails in another way on a machine that stands still, it is neither passed
+nor failed: it is not judged, and counted. On a quiet machine hardly any may be. Chance strikes here
+and there: a test that fails three times in the same way is red, however late the machine was.
 """
 
 from __future__ import annotations
 
 import os
+import re
 import threading
 import time
 from collections.abc import Generator, Iterator
@@ -23,6 +25,8 @@ from tests.waiting import kept_waiting
 STOOD_S = 0.25
 """A loop of the library that ticks so late takes itself for one that stood still."""
 LOOK_S = 0.5
+SAME = 3
+"""Failures in a row, all the same, that no late machine explains."""
 ALLOWED = 0.02
 """Share of the tests in real time that may stay without a judgement on a quiet machine."""
 
@@ -91,6 +95,7 @@ def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> 
         return None
     item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
     stood: list[float] = []
+    failures: list[str] = []
     while True:
         with Machine() as machine:
             reports = runtestprotocol(item, nextitem=nextitem, log=False)
@@ -98,14 +103,24 @@ def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> 
         is_real = any(getattr(report, "is_in_real_time", False) for report in reports)
         if not is_real or machine.stood_s < STOOD_S or not any(one.failed for one in reports):
             break
-        if len(stood) == 2:
+        failures.append(failure_of(reports))
+        if len(set(failures)) > 1:
             reports = [not_judged(report, stood) for report in reports]
+            break
+        if len(failures) == SAME:
             break
         item._initrequest()  # type: ignore[attr-defined] # as pytest-rerunfailures does
     for report in reports:
         item.ihook.pytest_runtest_logreport(report=report)
     item.ihook.pytest_runtest_logfinish(nodeid=item.nodeid, location=item.location)
     return True
+
+
+def failure_of(reports: list[pytest.TestReport]) -> str:
+    """Where a run failed and the first line that says how, without numbers, which always differ."""
+    text = "\n".join(report.longreprtext for report in reports if report.failed)
+    first = re.sub(r"(?m)^(E .*)(\nE .*)+$", r"\1", text)
+    return re.sub(r"-?(0x[0-9a-f]+|\d[\d.]*(e-?\d+)?)", "", first)
 
 
 def not_judged(report: pytest.TestReport, stood: list[float]) -> pytest.TestReport:

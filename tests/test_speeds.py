@@ -158,14 +158,25 @@ FAILS = "@pytest.mark.pty\ndef test_it():\n    with open({0!r}, 'a') as log: log
 @pytest.mark.parametrize(
     ("stood", "ends", "times", "told"),
     [
-        ("0.6", "assert False", 2, "1 not judged"),
+        ("0.6", "assert 0, ' ab'[len(open(log.name).read())]", 2, "1 not judged"),
+        ("0.6", "assert 0, ' aab'[len(open(log.name).read())]", 3, "1 not judged"),
+        ("0.6", "assert 0.5 < -len(open(log.name).read())", 3, "1 failed"),
         ("0.6", "assert len(open(log.name).read()) == 2", 2, "1 passed"),
+        ("0.6", "assert len(open(log.name).read()) > 2", 3, "1 passed"),
         ("0.1", "assert False", 1, "1 failed"),
         ("0.6", "pass", 1, "1 passed"),
     ],
-    ids=["stands", "stands once", "does not stand", "stands and passes"],
+    ids=[
+        "another failure",
+        "another failure at last",
+        "the same failure",
+        "stands once",
+        "stands twice",
+        "does not stand",
+        "stands and passes",
+    ],
 )
-def test_a_failure_while_the_machine_stands_is_repeated_and_then_not_judged(
+def test_a_failure_while_the_machine_stands_is_repeated_and_red_if_it_stays_the_same(
     tmp_path: Path, stood: str, ends: str, times: int, told: str
 ) -> None:
     log = tmp_path / "log"
@@ -179,8 +190,8 @@ def test_a_failure_while_the_machine_stands_is_repeated_and_then_not_judged(
 def test_too_many_that_are_not_judged_fail_on_a_quiet_machine_only(
     tmp_path: Path, others: float
 ) -> None:
-    text = STANDS.format(0.6) + f"judged.taken_by_others = lambda: {others}\n"
-    status, told = outcome(tmp_path, f"{text}@pytest.mark.pty\ndef test_it(): assert False")
+    text = STANDS.format(0.6) + f"judged.taken_by_others = lambda: {others}\nsaid = iter('ab')\n"
+    status, told = outcome(tmp_path, f"{text}@pytest.mark.pty\ndef test_it(): assert 0, next(said)")
     assert status == (0 if others else 1)
     assert ("too many for a machine so quiet" in told) is not bool(others)
 
@@ -192,8 +203,10 @@ from m100link.sim import VirtualClockEventLoop
 def anyio_backend():
     return {0}
 
+said = iter("ab")
+
 @pytest.mark.anyio
-async def test_it(): assert False
+async def test_it(): assert 0, next(said)
 """
 
 
