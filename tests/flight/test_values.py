@@ -22,7 +22,7 @@ from m100link.protocol.commands.control import Task
 from m100link.protocol.setpoint import Setpoint
 from m100link.sim import VirtualClockEventLoop
 from m100link.telemetry.state import AircraftState
-from tests import known
+from tests import known, limits
 from tests.known import LATITUDE, LONGITUDE, YAW
 
 pytestmark = pytest.mark.anyio
@@ -359,3 +359,7 @@ async def test_a_task_of_the_autopilot_has_its_time_and_its_listener(
     assert one._block.taking_off.called is is_up
     assert one._make_way.mock_calls[0].kwargs == {"is_landing": not is_up}
     assert (one._unended_task, one._steering.running_task) == (None, None)
+
+
+def test_each_limit_is_as_agreed() -> None:
+    assert limits.differences("flight") == []

@@ -33,6 +33,7 @@ from m100link.apps.agent.messages import (
 from m100link.apps.agent.transports import memory_channels
 from m100link.errors import LinkError
 from m100link.protocol.setpoint import Setpoint
+from tests import limits
 from tests.known import CONNECTED, KnownAgent
 
 pytestmark = pytest.mark.anyio
@@ -305,3 +306,7 @@ def test_old_take_overs_make_room_for_new_ones() -> None:
     with pytest.raises(LeaseRefused):
         manager.confirm(wanted[0].token, 20.0)
     assert manager.confirm(wanted[1].token, 20.0).name == "1"
+
+
+def test_each_limit_is_as_agreed() -> None:
+    assert limits.differences("apps/agent") == []

@@ -55,6 +55,7 @@ from m100link.protocol.items import BY_RECORD
 from m100link.sim import VirtualClockEventLoop
 from m100link.sim.vehicle.activation import DEMO_APP_ID
 from m100link.telemetry.state import ItemStatistics
+from tests import limits
 from tests.apps.cli.conftest import CommandLine
 from tests.flight.missions.foreign import plan as short_plan
 from tests.known import position
@@ -654,3 +655,7 @@ def test_the_commonest_round_trip_has_40_blocks_and_the_others_their_share(
 def test_the_way_of_the_demo_is_all_its_legs_and_ends_beside_its_first_place() -> None:
     flight = demo._Flight(track=[(0.0, 0.0), (3.0, 4.0), (3.0, 0.0)])  # north, east, m
     assert (flight.path_length_m, flight.returned_within_m) == (9.0, 3.0)
+
+
+def test_each_limit_is_as_agreed() -> None:
+    assert limits.differences("apps/cli") == []

@@ -62,6 +62,7 @@ from m100link.protocol.records import (
     quaternion,
 )
 from m100link.wire import encode_frame
+from tests import limits
 from tests.apps.doctor.bench import TELEMETRY, FakeMachine
 
 pytestmark = pytest.mark.anyio
@@ -634,3 +635,7 @@ def test_code_3_means_in_progress_since_2_3(firmware: str, twice: bool) -> None:
     meeting: Any = SimpleNamespace(_aircraft=SimpleNamespace(firmware=PROFILES[firmware]))
     asks = _Meeting.__dict__["_asks_twice"]
     assert asks.fget(meeting) is twice
+
+
+def test_each_limit_is_as_agreed() -> None:
+    assert limits.differences("apps/doctor") == []

@@ -31,6 +31,7 @@ from m100link.protocol.commands.activation import Credentials
 from m100link.sim.vehicle.activation import DEMO_APP_ID, DEMO_KEY
 from m100link.sim.vehicle.settings import AircraftSettings
 from m100link.wire import Key
+from tests import limits
 
 pytestmark = pytest.mark.anyio
 
@@ -779,3 +780,7 @@ def test_ports_are_numbers_of_16_bits(
         with pytest.raises(UsageError, match=f"there is no port {port}"):
             listeners.open_sockets(AsyncExitStack(), settings, **how)
         assert bound == []
+
+
+def test_each_limit_is_as_agreed() -> None:
+    assert limits.differences("apps/station") == []
