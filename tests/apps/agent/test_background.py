@@ -7,7 +7,14 @@ import logging
 
 import pytest
 
-from m100link.apps.agent.background import SparingLogger, TaskSet, TokenBucket, goes_on
+from m100link.apps.agent.background import (
+    SparingLogger,
+    TaskSet,
+    TokenBucket,
+    call_each,
+    goes_on,
+    is_set_within,
+)
 from m100link.errors import LinkLost
 
 pytestmark = pytest.mark.anyio
@@ -27,8 +34,12 @@ async def test_an_error_of_another_kind_is_logged_and_ours_is_not(
     ]
     await asyncio.wait(tasks)
     await asyncio.sleep(0)
-    assert "m100link: theirs ended by an error" in caplog.text
-    assert "ours" not in caplog.text
+    background.spawn(asyncio.sleep(1000), "cancelled").cancel()
+    background.spawn(asyncio.sleep(0), "done")
+    await asyncio.sleep(0.01)
+    assert [one.getMessage() for one in caplog.records] == ["m100link: theirs ended by an error"]
+    assert caplog.records[0].exc_info
+    assert not background._tasks, "what has ended is not kept"
 
 
 async def test_all_end_with_their_owner_also_those_that_take_a_while() -> None:
@@ -48,6 +59,27 @@ async def test_all_end_with_their_owner_also_those_that_take_a_while() -> None:
     await background.end()
     assert sorted(ended) == ["a", "b"]
     await background.end()
+
+
+async def test_an_event_is_waited_for_so_long_and_no_longer() -> None:
+    event = asyncio.Event()
+    assert not await is_set_within(event, 0.01)
+    event.set()
+    assert await is_set_within(event, 0.01)
+    assert await is_set_within(event, None)
+
+
+def test_each_is_called_whatever_one_raises_and_the_first_error_is_raised() -> None:
+    heard: list[tuple[str, int]] = []
+
+    def fails(text: str, number: int) -> None:
+        heard.append((text, number))
+        raise RuntimeError(f"failure {len(heard)}")
+
+    with pytest.raises(RuntimeError, match="failure 1"):
+        call_each([fails, fails, lambda *what: heard.append(what)], "STOP", 7)
+    assert heard == [("STOP", 7)] * 3
+    call_each([], "nobody hears it")
 
 
 async def test_what_begins_is_waited_for_until_then() -> None:

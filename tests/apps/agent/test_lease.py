@@ -26,8 +26,14 @@ def test_a_lease_that_nobody_renews_ends() -> None:
     manager.renew(lease.token, 2.9)
     assert manager.holder(5.8) == lease
     assert manager.holder(5.9) is None
-    with pytest.raises(LeaseRefused, match="not in force"):
+    assert manager.remaining(6.0) == 0.0
+    with pytest.raises(LeaseRefused) as caught:
         manager.renew(lease.token, 5.9)
+    assert caught.value.seen == "this lease is not in force"
+    manager.acquire("b", 6.0)
+    with pytest.raises(LeaseRefused) as caught:
+        manager.renew(lease.token, 6.1)
+    assert caught.value.seen == "this lease is not in force; b has control"
 
 
 def test_a_released_expired_or_taken_lease_cannot_be_replayed() -> None:
@@ -70,6 +76,25 @@ def test_a_confirmation_holds_for_what_was_asked_only(meanwhile: str) -> None:
             manager.acquire("c", 1.6)
     with pytest.raises(LeaseRefused, match="nothing to confirm"):
         manager.confirm(wanted.token, now)
+
+
+def test_a_take_over_can_be_confirmed_for_ten_seconds_and_a_lease_lasts_three() -> None:
+    manager = LeaseManager()
+    assert manager.lifetime == 3.0
+    manager = LeaseManager(lifetime=60.0)
+    manager.acquire("a", 0.0)
+    early, late = manager.ask_take_over("b", 1.0), manager.ask_take_over("c", 1.0)
+    assert early.expires_at == 11.0
+    manager.void_take_overs()
+    with pytest.raises(LeaseRefused):
+        manager.confirm(late.token, 1.5)
+    assert manager.confirm(manager.ask_take_over("d", 2.0).token, 11.99).name == "d"
+
+
+@pytest.mark.parametrize("lifetime", [0.0, -1.0, float("nan")])
+def test_a_lease_without_a_lifetime_is_none(lifetime: float) -> None:
+    with pytest.raises(ValueError, match="is none"):
+        LeaseManager(lifetime=lifetime)
 
 
 def test_a_free_lease_is_not_taken_over() -> None:

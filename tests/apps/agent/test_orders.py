@@ -29,7 +29,7 @@ from m100link.apps.agent.orders import (
     setpoint_of,
 )
 from m100link.apps.agent.server import agent as handlers
-from m100link.errors import M100Error, UsageError
+from m100link.errors import GuardRefused, M100Error, UsageError
 from m100link.protocol.firmware import FIRMWARE_3_1
 from m100link.protocol.setpoint import ReferenceFrame, Setpoint
 from tests.apps.agent.conftest import Rig
@@ -187,8 +187,35 @@ def test_the_four_numbers_of_a_request_are_those_of_djis_node() -> None:
     # Control flags of the document: 0x0A is key 8, mode 2; 0x48 is key 9, mode 4.
     assert setpoint_of(1, 0.0, 0.0, 0.0, 0.0).control_flag(FIRMWARE_3_1) == 0x0A
     assert setpoint_of(2, 0.0, 0.0, 0.0, 0.0).control_flag(FIRMWARE_3_1) == 0x48
-    with pytest.raises(UsageError, match="no control mode 3"):
+    with pytest.raises(UsageError, match="no control mode 3") as caught:
         setpoint_of(3, 0.0, 0.0, 0.0, 0.0)
+    assert caught.value.remedy == "1 is angles, 2 is velocities"
+
+
+@pytest.mark.parametrize(
+    ("order", "asked_at", "is_refused"),
+    [
+        (orders.TakeOff(), 4.9, True),
+        (orders.TakeOff(), 5.0, True),  # in the same moment: the aircraft stays where it is
+        (orders.TakeOff(), 5.1, False),
+        (orders.Land(), 4.9, True),
+        (orders.Halt(), 4.9, False),  # ends a flight itself
+        (orders.Stop(), 4.9, False),
+    ],
+)
+def test_an_order_that_was_asked_for_before_a_stop_is_refused(
+    order: Order, asked_at: float, is_refused: bool
+) -> None:
+    if not is_refused:
+        orders.require_newer(order, asked_at, 5.0)
+        return
+    with pytest.raises(GuardRefused) as caught:
+        orders.require_newer(order, asked_at, 5.0, "the computer was suspended")
+    assert caught.value.guard == "stopped"
+    assert caught.value.seen == (
+        f"the computer was suspended after {order.label} was asked for; nothing was sent"
+    )
+    assert caught.value.remedy == "look at the aircraft, and ask anew"
 
 
 # -- the life of an order --------------------------------------------------------------------------
