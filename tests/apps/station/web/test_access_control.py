@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
 from collections.abc import MutableMapping
 from typing import Any
 
 import pytest
 
 from m100link.apps.station.web.access_control import (
-    CODE_LIFETIME,
     COOKIE,
     Access,
     AccessControl,
@@ -92,6 +93,9 @@ async def test_programs_of_this_machine_send_no_origin_and_get_in(host: str) -> 
         "127.0.0.1@evil.example",
         "127.0.0.1:port",
         "127.0.0.1/evil.example",
+        "127.0.0.1?evil.example",
+        "127.0.0.1#evil.example",
+        "127.0.0.1\\evil.example",
         "",
     ],
 )
@@ -185,6 +189,7 @@ OWN_COOKIE = Access(TOKEN).cookie
         (None, f"token={OWN_COOKIE}", False),
         (("authorization", f"Bearer {TOKEN}"), "", True),
         (("authorization", f"Bearer {TOKEN}"), "x=1&" * 30, False),
+        (("authorization", f"bearer  {TOKEN} "), "", True),
         (("authorization", f"Basic {TOKEN}"), "", False),
         (("cookie", f"a=b; {COOKIE}={OWN_COOKIE}"), "", True),
         (("cookie", f'settings={{"a": [1, "b;"]}}; {COOKIE}={OWN_COOKIE}; x'), "", True),
@@ -253,7 +258,7 @@ async def test_a_code_works_once_and_for_a_while() -> None:
     await again.ask(HERE, cookie, kind="http", query=f"code={code}")
     assert again.status == 303
     late = access.new_code()
-    clock.now = CODE_LIFETIME + 1
+    clock.now = 601.0
     third = Visit(access=access)
     await third.ask(HERE, kind="http", query=f"code={late}")
     assert third.status == 403
@@ -291,8 +296,50 @@ async def test_a_page_hears_why_it_was_refused() -> None:
     visit = Visit()
     await visit.ask(HERE, ("origin", "http://evil.example"), kind="http")
     assert visit.sent[0]["status"] == 403
-    assert b"--allow-origin" in visit.sent[1]["body"]
+    assert visit.headers == {
+        "content-type": "text/plain; charset=utf-8",
+        "connection": "close",
+        "cache-control": "no-store",
+        "content-length": str(len(visit.sent[1]["body"])),
+    }
     assert visit.gate.refused == 1
+
+
+@pytest.mark.parametrize(
+    ("options", "headers", "query", "why"),
+    [
+        ({}, [("host", "evil.example")], "", "that name (Host); see --allow-host"),
+        (
+            {},
+            [HERE, ("origin", "http://a.b")],
+            "",
+            "other sites may not connect (Origin); see -",
+        ),
+        ({}, [HERE, ("sec-fetch-dest", "iframe")], "", "but not embed or request it (Sec-Fetch)"),
+        ({"access": Access(TOKEN)}, [HERE], "", "a token is needed: ?token=…, a Bearer header or"),
+        ({"access": Access(TOKEN)}, [HERE], "code=x", "used already, or is too old: open the stat"),
+        ({"access": Access(TOKEN)}, [HERE], "x=1&" * 21, "an address has at most 20 query fields"),
+    ],
+)
+async def test_each_refusal_has_its_reason(
+    options: dict[str, Any], headers: list[tuple[str, str]], query: str, why: str
+) -> None:
+    visit = Visit(**options)
+    assert not await visit.ask(*headers, query=query, kind="http")
+    assert why in visit.sent[1]["body"].decode()
+
+
+@pytest.mark.parametrize("method", ["HEAD", "POST"])
+async def test_only_a_page_that_is_opened_is_sent_on(method: str) -> None:
+    visit = Visit(access=Access(TOKEN))
+    assert await visit.ask(HERE, kind="http", method=method, query=f"token={TOKEN}")
+
+
+async def test_what_is_no_request_goes_to_the_application() -> None:
+    """The server tells it that it starts and ends (ASGI: ``lifespan``), without headers."""
+    visit = Visit(access=Access(TOKEN))
+    await visit.gate({"type": "lifespan"}, None, None)  # type: ignore[arg-type]  # not called
+    assert visit.is_in
 
 
 def test_hosts_and_addresses() -> None:
@@ -301,6 +348,8 @@ def test_hosts_and_addresses() -> None:
     assert is_loopback("127.0.0.1")
     assert is_loopback("::1")
     assert is_loopback("127.0.0.2")
+    assert is_loopback("localhost")
+    assert not is_loopback("")
     assert not is_loopback("0.0.0.0")
     assert not is_loopback("127.example.com")
 
@@ -365,6 +414,11 @@ async def test_the_question_leads_to_what_was_asked_for_and_runs_nothing(
     assert {"default-src 'none'", "frame-ancestors 'none'", "form-action 'none'"} < set(rules)
     assert not any(rule.startswith("script-src") for rule in rules)
     assert visit.headers["cache-control"] == "no-store"
+    assert visit.headers["content-type"] == "text/html; charset=utf-8"
+    assert visit.headers["vary"] == "sec-fetch-site"
+    style = page.partition("<style>")[2].partition("</style>")[0].encode()
+    digest = base64.b64encode(hashlib.sha256(style).digest()).decode()
+    assert f"style-src 'sha256-{digest}'" in rules
     assert visit.gate.refused == 0
 
 

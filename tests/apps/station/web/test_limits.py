@@ -9,14 +9,7 @@ from typing import Any
 import pytest
 from starlette.types import Message, Receive, Scope, Send
 
-from m100link.apps.station.web.limits import (
-    LONGEST_PAUSE,
-    PAUSE,
-    PLACES,
-    ConnectionLimit,
-    PageRateLimit,
-    to_evict,
-)
+from m100link.apps.station.web.limits import ConnectionLimit, PageRateLimit, to_evict
 
 # -- connections that ask nothing do not keep those out that ask -----------------------------------
 
@@ -89,6 +82,27 @@ class Guest:
     subscribes: bool = False
 
 
+def test_one_address_has_32_places_and_all_have_128() -> None:
+    door = ConnectionLimit()
+    enter(door, *(Visitor("a") for _ in range(33)))
+    assert len(door) == 32
+    enter(door, *(Visitor(str(number)) for number in range(200)))
+    assert len(door) == 128
+
+
+@pytest.mark.parametrize(
+    ("guest", "is_due"),
+    [
+        (Guest(99.51, has_spoken=False), False),
+        (Guest(99.5, has_spoken=False), True),  # half a second
+        (Guest(90.1), False),
+        (Guest(90.0), True),  # ten seconds
+    ],
+)
+def test_when_a_place_is_due(guest: Guest, is_due: bool) -> None:
+    assert to_evict([guest], "a", 100.0) is (guest if is_due else None)
+
+
 def test_nobody_goes_while_all_talk() -> None:
     assert to_evict([], "a", 100.0) is None
     assert to_evict([Guest(95.0), Guest(99.0), Guest(99.9, has_spoken=False)], "a", 100) is None
@@ -159,7 +173,7 @@ async def test_each_page_is_followed_by_a_pause_as_long_as_it_deserves() -> None
     ends = [end for _, end in pages.times]
     begins = [begin for begin, _ in pages.times[1:]]
     for end, begin in zip(ends, begins, strict=False):
-        assert begin - end == pytest.approx(PAUSE * 0.1)
+        assert begin - end == pytest.approx(0.3)
 
 
 async def test_a_pause_has_an_end() -> None:
@@ -167,7 +181,7 @@ async def test_a_pause_has_an_end() -> None:
     turnstile = PageRateLimit(pages, "/")
     await asyncio.gather(ask(turnstile), ask(turnstile))
     (_, end), (begin, _) = pages.times
-    assert begin - end == pytest.approx(LONGEST_PAUSE)
+    assert begin - end == pytest.approx(1.0)
 
 
 async def test_what_costs_little_does_not_wait() -> None:
@@ -181,9 +195,24 @@ async def test_what_costs_little_does_not_wait() -> None:
 
 async def test_a_client_that_comes_while_too_many_wait_is_asked_to_come_again() -> None:
     turnstile = PageRateLimit(Pages(), "/")
-    statuses = await asyncio.gather(*(ask(turnstile) for _ in range(PLACES + 5)))
-    assert sorted(statuses) == [200] * (PLACES + 1) + [503] * 4
+    statuses = await asyncio.gather(*(ask(turnstile) for _ in range(13)))
+    assert sorted(statuses) == [200] * 9 + [503] * 4, "one is built, and eight wait"
     assert await ask(turnstile) == 200
+    waiting = [asyncio.create_task(ask(turnstile)) for _ in range(9)]
+    await asyncio.sleep(0)
+    sent: list[Any] = []
+
+    async def send(message: Message) -> None:
+        sent.append(message)
+
+    await turnstile({"type": "http", "path": "/"}, None, send)  # type: ignore[arg-type]  # unread
+    headers = dict(sent[0]["headers"])
+    assert headers[b"retry-after"] == b"1"
+    assert headers[b"content-type"] == b"text/html; charset=utf-8"
+    assert b'http-equiv="refresh" content="1"' in sent[1]["body"]
+    for task in waiting:
+        task.cancel()
+    await asyncio.gather(*waiting, return_exceptions=True)
 
 
 async def test_a_client_that_reads_slowly_keeps_nobody_waiting() -> None:
@@ -191,7 +220,7 @@ async def test_a_client_that_reads_slowly_keeps_nobody_waiting() -> None:
     turnstile = PageRateLimit(pages, "/")
     await asyncio.gather(ask(turnstile), ask(turnstile))
     (_, end), (begin, _) = pages.times
-    assert begin - end == pytest.approx(PAUSE * 0.1)
+    assert begin - end == pytest.approx(0.3)
 
 
 @pytest.mark.parametrize("after", [0.05, 0.15, 0.45])
