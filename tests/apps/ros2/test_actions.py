@@ -9,6 +9,9 @@ from typing import Any, cast
 import anyio
 import pytest
 
+from m100link.apps.agent.client import AgentClient
+from m100link.apps.agent.messages import Event, EventTopic
+from m100link.apps.agent.transports import memory_channels
 from m100link.apps.bus.network import TokenChange
 from m100link.apps.ros2.actions import (
     FLIGHTS,
@@ -311,6 +314,43 @@ async def test_a_stop_that_the_node_did_not_hear_ends_the_legs_to_come(
     assert not has_begun(rig.agent, "change of height")
 
 
+@pytest.mark.parametrize("at", ["wait", "flight", "take-off"])
+@pytest.mark.parametrize("how", ["halt", "stop"])
+async def test_a_halt_or_a_stop_of_another_front_ends_the_goal(
+    rig: Rig, client: Client, how: str, at: str
+) -> None:
+    """The legs to come do not begin, neither now nor after the wait at a place."""
+    ours, its = memory_channels()
+    rig.service.attach(its)
+    async with AgentClient(ours, "another front") as other:
+        if at == "take-off":
+            name = "~/take_off"
+            await client.call("~/obtain_control")
+            goal = await client.send(name, height=20.0)
+            await rig.until(lambda: rig.motors_on)
+        else:
+            name = "~/fly_mission"
+            await client.up()
+            legs = [(6.0, 0.0), (30.0, 0.0)] if at == "wait" else [(30.0, 0.0), (0.0, 0.0)]
+            points = [{**client.place(*leg), "height": 3.0, "wait": 3.0} for leg in legs]
+            goal = await client.send(name, waypoints=points, speed=4.0)
+            await rig.until(lambda: rig.speed > 2.0)
+            if at == "wait":
+                await rig.until(lambda: rig.client.state.guided is None)
+        assert goal is not None
+        if how == "halt":
+            other.hover("a person wants it to hover")
+        else:
+            await other.stop()
+        status, why = await client.result(name, goal)
+        assert (status, rig.node.control.goal) == (GoalStatus.CANCELED, "")
+        assert why == ("a person wants it to hover" if how == "halt" else "stop")
+        await anyio.sleep(5.0)
+        assert rig.speed < 0.3
+        assert not has_begun(rig.agent, "change of height")
+        assert sum(one.text == "flight to a place begins" for one in rig.agent.journal.events) < 2
+
+
 # -- values: what a goal may say, and which of two times comes first -------------------------------
 
 PLACE = {"latitude": -33.5, "longitude": 151.75, "height": 17.5}
@@ -477,3 +517,49 @@ def test_whose_goal_ends_and_how_often_it_tells(changed: dict[str, bool], why: l
         "feedback": {"height": 12.5},
     }
     assert (one.goal.status is GoalStatus.CANCELING) is bool(why)
+
+
+@pytest.mark.parametrize(
+    ("topic", "is_ended"),
+    [
+        (EventTopic.STOPPED, True),
+        (EventTopic.HALTED, True),
+        (EventTopic.MISSION_ABORTED, False),
+        (EventTopic.NONE, False),
+    ],
+)
+def test_which_events_end_the_goal(topic: EventTopic, is_ended: bool) -> None:
+    one = Flown()
+    event = Event(3, 20.0, "info", "somebody wants it to hover", topic)
+    one.actions._hear(event)
+    one.actions._hear(event)
+    assert one.ended == ["somebody wants it to hover"] * is_ended, "once, with the reason"
+    statuses = [said["status_list"][0]["status"] for said in one.said["status"]]
+    assert statuses == [GoalStatus.CANCELING] * is_ended
+    one.actions._current = None
+    one.actions._hear(event)  # nothing flies any more
+
+
+@pytest.mark.parametrize(("is_ours", "hovers"), [(True, [("why", 7)]), (False, [])])
+async def test_the_end_of_a_flight_hovers_under_its_own_lease_alone(
+    is_ours: bool, hovers: list[tuple[str, int]]
+) -> None:
+    """Another program that flies by then flies on; nothing more of the goal is ordered."""
+    hovered, asked = [], []
+
+    async def ask(order: Any, **_: Any) -> None:
+        asked.append(order)
+
+    agent: Any = SimpleNamespace(
+        holds=lambda lease: is_ours and lease == 7,
+        hover=lambda why, lease: hovered.append((why, lease)),
+        ask=ask,
+        asked_at=4.0,
+    )
+    control: Any = SimpleNamespace(session=SimpleNamespace(held=lambda: 7))
+    point = PLACE | {"wait": 600.0}
+    flight = FLIGHTS["~/fly_mission"][1](agent, control, {"waypoints": [point] * 2, "speed": 1.0})
+    flight.end("why")
+    assert hovered == hovers
+    await flight.run()  # neither a leg nor a wait
+    assert asked == []
