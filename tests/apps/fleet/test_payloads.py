@@ -18,6 +18,7 @@ from m100link.apps.agent.messages import MessageError, RemoteError, Steer, Telem
 from m100link.apps.agent.orders import (
     AcquireLease,
     Land,
+    Right,
     SetMissionSpeed,
     Stop,
     TakeOff,
@@ -38,8 +39,10 @@ from m100link.apps.fleet.payloads import (
     Progress,
     Result,
     SendTrack,
+    ShowOrder,
     TakePlace,
     What,
+    body,
     ends,
     outcome_of,
     pack,
@@ -53,6 +56,7 @@ from m100link.errors import (
     AckTimeout,
     AuthorityLost,
     GuardRefused,
+    LinkClosed,
     LinkError,
     LinkLost,
     M100Error,
@@ -400,6 +404,7 @@ def test_what_an_old_release_wrote_is_reported_with_both_versions(
         (NotObserved("not seen to be done"), Outcome.UNKNOWN),
         (AuthorityLost("the pilot left F"), Outcome.UNKNOWN),
         (LinkLost("unplugged"), Outcome.UNKNOWN),
+        (LinkClosed("closed by this side"), Outcome.UNKNOWN),
         (LinkError("not connected: nothing was sent"), Outcome.REFUSED),
     ],
 )
@@ -409,6 +414,7 @@ def test_each_error_has_one(error: M100Error | None, outcome: Outcome) -> None:
 
 
 def test_a_result_says_why() -> None:
+    assert Result.of("a1", None, 7) == Result("a1", Outcome.OK, None, 7)
     assert str(Result.of("a1", None)) == "ok"
     assert str(Result.of("a1", StaleLease("it ended"))) == "stale_lease (it ended)"
 
@@ -425,3 +431,51 @@ def test_nobody_passes_an_order_off_as_one_that_ends() -> None:
     asked = OrderMessage("0b" * 16, "field", name, name, 17, 1.0, AcquireLease(name))
     for payload in (pack(asked), b"", b"Stop", pack(replace(asked, order=Stop(), by="b" * 2048))):
         assert not ends(Question("key", payload, lambda *_: None, lambda: None))
+
+
+# -- values: bounds, defaults and times of what goes over the network ------------------------------
+
+
+@pytest.mark.parametrize(
+    ("size", "is_read"), [(0, False), (1, True), (65_536, True), (65_537, False)]
+)
+def test_a_payload_has_a_byte_at_least_and_64_kib_at_most(size: int, is_read: bool) -> None:
+    payload = bytes([4] * size)
+    if is_read:
+        assert body(payload) == payload[1:]
+        return
+    with pytest.raises(MessageError, match=f"{size} bytes are no payload of a fleet"):
+        body(payload)
+
+
+@pytest.mark.parametrize(
+    ("clock", "since", "wanted_at"),
+    [(0.0, 0.0, None), (83.25, 0.0, 83.25), (83.25, 80.5, 80.5), (0.0, 80.5, 80.5)],
+)
+def test_an_order_was_wanted_as_its_request_began(
+    clock: float, since: float, wanted_at: float | None
+) -> None:
+    assert replace(ORDER, clock=clock, since=since).wanted_at == wanted_at
+
+
+def test_what_is_asked_needs_a_right() -> None:
+    """A show flies the aircraft; a log may be read by all who may watch."""
+    assert (LogQuestion.right, ShowOrder.right) == (Right.WATCH, Right.FLY)
+
+
+def test_a_reply_to_what_is_over_has_all_that_it_was_given() -> None:
+    refused = OrderReply.done("id", "a1", "boot", GuardRefused("low", guard="battery"), clock=7.5)
+    told = (refused.progress, refused.outcome, refused.clock, refused.id, refused.name)
+    assert told == (Progress.DONE, Outcome.REFUSED, 7.5, "id", "a1")
+    assert refused.fault is not None
+    assert (refused.fault.kind, refused.fault.seen) == ("GuardRefused", "low")
+    done = OrderReply.done("id", "a1", "boot", None, text="words", number=3)
+    assert done == OrderReply("id", "a1", "boot", Progress.DONE, Outcome.OK, text="words", number=3)
+
+
+def test_without_a_secret_nothing_is_proved_and_no_other_message_is_a_setpoint() -> None:
+    assert ORDER.under("") is ORDER
+    proved = pack_steer(Steer(7, 1.0, 0.2, NORTH), "secret", begins=True)
+    telemetry = pack(Telemetry(bytes(134), "1.0", 12.5))
+    with pytest.raises(MessageError, match="Telemetry is no setpoint"):
+        unpack_steer(proved[:18] + telemetry[1:], {7: "secret"}.get)

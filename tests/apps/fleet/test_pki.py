@@ -8,7 +8,7 @@ import stat
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime, timedelta, timezone
 from pathlib import Path
 from typing import Any
 
@@ -28,8 +28,6 @@ from cryptography.x509.verification import (
 from m100link.apps.agent.orders import Right
 from m100link.apps.fleet.identity import BadRevoked, Rights, Signer
 from m100link.apps.fleet.pki import (
-    AUTHORITY_DAYS,
-    ISSUED_DAYS,
     BadAuthority,
     Kind,
     explain,
@@ -84,7 +82,8 @@ def test_the_owner_of_a_certificate_is_known_by_its_common_name(folder: Path) ->
 
 
 def test_a_router_is_one_by_its_hosts_alone(folder: Path) -> None:
-    made = issue(folder, Kind.ROUTER, "base", now=NOW, hosts=["base.example.org", "10.0.0.1"])
+    hosts = ["base.example.org", "10.0.0.1", "b" * 253]
+    made = issue(folder, Kind.ROUTER, "base", now=NOW, hosts=hosts)
     certificate = loaded(made.certificate)
     server(folder, "base.example.org").verify(certificate, [])
     with pytest.raises(VerificationError):
@@ -99,15 +98,15 @@ def test_a_router_is_one_by_its_hosts_alone(folder: Path) -> None:
 def test_certificates_end_and_begin_a_little_early(folder: Path) -> None:
     made = issue(folder, Kind.AGENT, "a1", now=NOW)
     certificate = loaded(made.certificate)
-    assert made.ends == NOW + timedelta(days=ISSUED_DAYS) == certificate.not_valid_after_utc
+    assert made.ends == NOW + timedelta(days=30) == certificate.not_valid_after_utc
     for at in (NOW - timedelta(minutes=4), NOW + timedelta(days=29, hours=23)):
         clients(folder, at).verify(certificate, [])
     for at in (NOW - timedelta(minutes=6), NOW + timedelta(days=30, seconds=1)):
         with pytest.raises(VerificationError):
             clients(folder, at).verify(certificate, [])
-    nearly = NOW + timedelta(days=AUTHORITY_DAYS - 3)
+    nearly = NOW + timedelta(days=727)
     late = issue(folder, Kind.AGENT, "a2", now=nearly)
-    assert late.ends == NOW + timedelta(days=AUTHORITY_DAYS), "no longer than the authority"
+    assert late.ends == NOW + timedelta(days=730), "no longer than the authority"
 
 
 def test_another_authority_is_not_believed(folder: Path, tmp_path: Path) -> None:
@@ -117,11 +116,32 @@ def test_another_authority_is_not_believed(folder: Path, tmp_path: Path) -> None
         clients(folder).verify(loaded(made.certificate), [])
 
 
-def test_the_owner_of_a_certificate_issues_none(folder: Path) -> None:
-    certificate = loaded(issue(folder, Kind.AGENT, "a1", now=NOW).certificate)
-    constraints = certificate.extensions.get_extension_for_class(x509.BasicConstraints)
-    assert constraints.critical
-    assert constraints.value == x509.BasicConstraints(ca=False, path_length=None)
+USES = ("digital_signature", "key_cert_sign", "crl_sign", "content_commitment", "key_agreement")
+
+
+def test_each_certificate_has_the_uses_of_its_owner_alone(folder: Path) -> None:
+    """RFC 5280: the authority signs certificates of no other authority; others sign handshakes."""
+    made = [issue(folder, Kind.AGENT, "a1", now=NOW), issue(folder, Kind.PILOT, "anna", now=NOW)]
+    made.append(issue(folder, Kind.ROUTER, "base", now=NOW, hosts=["base"]))
+    assert [one.signing_key for one in made] == [None, folder / "anna.signing.key", None]
+    authority, *others = map(loaded, (folder / "ca.pem", *(one.certificate for one in made)))
+    its_key = authority.extensions.get_extension_for_class(x509.SubjectKeyIdentifier).value
+    for one in (authority, *others):
+        is_authority = one is authority
+        constraints = one.extensions.get_extension_for_class(x509.BasicConstraints)
+        path_length = 0 if is_authority else None
+        assert constraints.value == x509.BasicConstraints(is_authority, path_length)
+        usage = one.extensions.get_extension_for_class(x509.KeyUsage)
+        assert constraints.critical
+        assert usage.critical
+        found = [name for name in USES if getattr(usage.value, name)]
+        assert found == (["key_cert_sign", "crl_sign"] if is_authority else ["digital_signature"])
+        assert one.issuer == authority.subject
+        if not is_authority:
+            key = one.extensions.get_extension_for_class(x509.AuthorityKeyIdentifier).value
+            assert key.key_identifier == its_key.digest
+    purposes = others[-1].extensions.get_extension_for_class(x509.ExtendedKeyUsage).value
+    assert set(purposes) == {ExtendedKeyUsageOID.CLIENT_AUTH, ExtendedKeyUsageOID.SERVER_AUTH}
 
 
 # -- files ----------------------------------------------------------------------------------------
@@ -165,6 +185,11 @@ def test_nothing_is_written_over_in_silence(folder: Path, name: str) -> None:
     assert (folder / "ca.key").read_bytes() == before
     issue(folder, Kind.AGENT, "a1", now=NOW, force=True)
     clients(folder).verify(loaded(folder / "a1.pem"), [])
+    issue(folder, Kind.PILOT, "anna", now=NOW)
+    (folder / "anna.key").unlink()
+    (folder / "anna.pem").unlink()
+    with pytest.raises(BadAuthority, match=r"signing\.key is there already"):
+        issue(folder, Kind.PILOT, "anna", now=NOW)
 
 
 def test_a_link_that_somebody_laid_is_not_written_through(folder: Path, tmp_path: Path) -> None:
@@ -188,6 +213,7 @@ def test_names_that_are_none(folder: Path, name: str) -> None:
 @pytest.mark.parametrize(
     ("kind", "hosts"),
     [
+        (Kind.ROUTER, ["b" * 254]),
         (Kind.ROUTER, []),
         (Kind.AGENT, ["base"]),
         (Kind.ROUTER, ["a b"]),
@@ -204,7 +230,7 @@ def test_an_authority_that_is_not_there_damaged_foreign_or_over(folder: Path) ->
         with pytest.raises(BadAuthority, match=said):
             issue(folder, Kind.AGENT, "a1", now=now)
 
-    refused("expired on 2028-11-21", NOW + timedelta(days=AUTHORITY_DAYS))
+    refused("expired on 2028-11-21", NOW + timedelta(days=730))
     issue(folder, Kind.AGENT, "b1", now=NOW)
     key = (folder / "ca.key").read_bytes()
     (folder / "ca.key").write_bytes((folder / "b1.key").read_bytes())
@@ -234,7 +260,10 @@ def test_lists_count_and_hold_everybody_who_was_ever_revoked(folder: Path) -> No
     assert (first.number, dict(first.names)) == (1, {"anna": "2026-11-22"})
     assert (second.number, dict(second.names)) == (2, {"anna": "2026-11-22", "bert": "2026-11-23"})
     assert revoke(folder, ["bert"], now=NOW).data == second.data, "nobody new is no new list"
-    assert listed(folder) == [("anna", NOW + timedelta(days=ISSUED_DAYS), "2026-11-22")]
+    evening = datetime(2026, 11, 23, 22, 30, tzinfo=timezone(timedelta(hours=-5)))
+    third = revoke(folder, ["carl"], now=evening)
+    assert third.names["carl"] == "2026-11-24", "the day by UTC"
+    assert listed(folder) == [("anna", NOW + timedelta(days=30), "2026-11-22")]
 
 
 def test_a_revoked_name_gets_no_certificate_again(folder: Path) -> None:
@@ -322,10 +351,67 @@ def test_an_agent_has_rules_for_nobody_elses_keys_but_a_question_and_places() ->
     assert (rule["flows"], rule["messages"]) == (["egress"], ["query"])
 
 
-def test_part_of_a_name_is_written_as_zenoh_writes_it() -> None:
-    queries = [rule for rule in rules_of("identity bert") if rule["messages"] == ["query"]]
-    assert "m100/site/a$*/cmd" in queries[0]["key_exprs"]
-    assert "m100/site/a$*/lease" not in queries[0]["key_exprs"]
+SENT = "tel tel/** state event told"
+WATCHED, STOPPED, FLOWN = "state told log mission", "cmd status/** revoked", "lease show"
+
+
+def keys(name: str, ends: str) -> list[str]:
+    return [f"m100/site/{name}/{end}" for end in ends.split()]
+
+
+def live(name: str) -> list[str]:
+    return [f"m100-live/site/{name}/*", f"m100/site/{name}/live"]
+
+
+def of_identity(name: str, asked: str, *, flies: bool = False) -> list[tuple[str, str, list[str]]]:
+    """What may pass to and from an operator, by hand: into the router, and out of it."""
+    found = [
+        ("ingress", "declare_subscriber", keys("*", SENT)),
+        ("egress", "put", keys(name, SENT)),
+        ("ingress", "query", list(dict.fromkeys([*keys(name, asked), *keys("*", "state")]))),
+        ("egress", "declare_queryable reply", keys(name, asked)),
+        ("ingress", "liveliness_query declare_liveliness_subscriber", live("*")),
+        ("egress", "liveliness_token", live(name)),
+    ]
+    setpoints = keys(name, "setpoint")
+    flown = [("ingress", "put", setpoints), ("egress", "declare_subscriber", setpoints)]
+    return [*found[:4], *(flown if flies else ()), *found[4:]]
+
+
+SERVED = f"{WATCHED} {STOPPED} {FLOWN}"
+RULES = {
+    "identity anna": of_identity("a1", SERVED, flies=True),
+    "identity bert": of_identity("a$*", f"{WATCHED} {STOPPED}"),  # part of a word, as zenoh has it
+    "identity wall": of_identity("*", WATCHED),
+    "identity none": [],
+    "agent a1": [
+        ("ingress", "put", keys("a1", SENT)),
+        ("egress", "declare_subscriber", keys("a1", SENT)),
+        ("ingress", "declare_queryable reply", keys("a1", SERVED)),
+        ("egress", "query", [*keys("a1", SERVED), *keys("*", "state")]),
+        ("ingress", "declare_subscriber", keys("a1", "setpoint state")),
+        ("egress", "put", keys("a1", "setpoint state")),
+        ("ingress", "put", keys("a1", "place")),
+        ("egress", "declare_subscriber", keys("*", "place")),
+        ("ingress", "declare_subscriber", keys("*", "place")),
+        ("egress", "put", keys("*", "place")),
+        (
+            "ingress",
+            "liveliness_token liveliness_query declare_liveliness_subscriber",
+            live("a1"),
+        ),
+        ("egress", "liveliness_token", live("a1")),
+    ],
+}
+
+
+@pytest.mark.parametrize("who", RULES)
+def test_each_right_lets_its_own_messages_pass_and_no_others(who: str) -> None:
+    found = [
+        (*rule["flows"], " ".join(rule["messages"]), rule["key_exprs"]) for rule in rules_of(who)
+    ]
+    assert found == RULES[who]
+    assert [one["rules"] for one in router_config(RIGHTS)["policies"] if not one["rules"]] == []
 
 
 def test_a_name_without_rights_has_no_rule_but_is_known() -> None:

@@ -344,7 +344,9 @@ def test_the_table_is_whole() -> None:
 def test_each_pair(stage: MissionStage, happens: MissionInput) -> None:
     expected = EXPECTED[stage, happens]
     if expected is None:
-        with pytest.raises(MissionRunning, match="nothing was changed"):
+        what = {PLAN: "a plan", ASKED: "the start of a mission"}[happens]
+        said = f"{what} came while a mission is {stage.value}; nothing was changed"
+        with pytest.raises(MissionRunning, match=said):
             after(stage, happens)
     else:
         assert after(stage, happens) is expected
