@@ -181,8 +181,10 @@ async def context_of(browser: Any, **options: Any) -> AsyncIterator[Any]:
     """A context of the browser, with nothing that another test left."""
     context = await browser.new_context(**{"viewport": {"width": 1500, "height": 1100}} | options)
     context.set_default_timeout(1000 * PATIENCE)
-    yield context
-    await context.close()
+    try:
+        yield context
+    finally:  # a page of a test that failed would go on calling for its station
+        await context.close()
 
 
 @contextlib.asynccontextmanager
