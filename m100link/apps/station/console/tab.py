@@ -448,6 +448,9 @@ OLD_S = 0.3
 IGNORED_S = 3.0
 """Seconds for which the aircraft may show nothing of what goes out to it: it brakes before."""
 
+LOST_S = 0.5
+"""Seconds for which an agent may fly nothing before the outcome of a flight arrives."""
+
 TOLD_S = 10.0
 """Seconds for which the end of a flight is shown."""
 
@@ -521,6 +524,7 @@ class IssuedOrder:
     shown_at: float = math.inf  # when telemetry showed it last, or it was accepted, s
     left_s: float = math.inf  # seconds that a flight has left at least
     nearer_at: float = -math.inf  # when that became less, s
+    guided_at: float = -math.inf  # when the agent flew it last, or accepted it, s
 
     @property
     def is_over(self) -> bool:
@@ -528,7 +532,9 @@ class IssuedOrder:
 
     def hear(self, news: News, now: float, why: M100Error | Fate | None = None) -> None:
         before, self.life = self.life, LIVES[self.life].get(news, self.life)
-        if news is News.SEEN or before is Life.SENT is not self.life:
+        if before is Life.SENT is not self.life:
+            self.shown_at = self.guided_at = now
+        elif news is News.SEEN:
             self.shown_at = now
         if self.is_over and LIVES[before]:
             self.over_at, self.why = now, why
@@ -550,11 +556,13 @@ class IssuedOrder:
         return True, follows(self.wanted, view)
 
     def _of_flight(self, view: VehicleView) -> tuple[bool, bool | None]:
-        """The same of a flight to where somebody points. Its outcome ends it, and no view does."""
+        """The same of a flight to where somebody points. It left where its outcome was lost."""
         if view.is_heard and (guided := view.state.guided) is not None:
+            self.guided_at = view.at
             left_s = math.inf if guided.seconds is None else guided.seconds
             if left_s < self.left_s - _NEARER_S:
                 self.nearer_at = view.at if self.left_s < math.inf else -math.inf
                 self.left_s = left_s
         is_nearer = view.at - self.nearer_at <= IGNORED_S  # it comes in steps
-        return self.life is not Life.SENT, is_nearer if view.is_heard else None
+        is_taken = self.life is not Life.SENT and view.at - self.guided_at <= LOST_S
+        return is_taken, is_nearer if view.is_heard else None
