@@ -23,7 +23,7 @@ SAME = frozenset(
     (
         *("STOP", "GPS", "Link", "Firmware", "CSV", "JSON", "Position", "Mission", "Plan", "Pause"),
         *("Radius", "English", "Deutsch", "Alarm", "Version", "Jitter", "Magnetometer", "App"),
-        *("QGroundControl", "plan", "pitch", "photo", "stay", "turn", "video", "cut", "min"),
+        *("QGroundControl", "Gamepad", "plan", "pitch", "photo", "stay", "turn", "video", "cut", "min"),
     )
 )
 """What reads the same in both languages: names, units and letters."""

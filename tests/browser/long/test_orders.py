@@ -89,7 +89,8 @@ async def test_what_flies_by_itself_is_held_and_a_short_press_says_so(console: C
     page = await airborne(console)
     for view in ("plan", "check", "fly"):
         await look_at(page, view)
-        await page.wait_for_selector(f"section[data-view={view}] [data-act]")
+        # It is built now; its first button may wait for a point on the map.
+        await page.wait_for_selector(f"section[data-view={view}] [data-act]", state="attached")
     found: dict[str, bool] = dict(await page.evaluate(ACTS))
     assert {name for name, is_held in found.items() if is_held} == HELD
     await page.click("[data-act=go_home]")
