@@ -1,8 +1,9 @@
-"""Numbers that modules name (times, sizes, speeds), stated a second time in ``tests/limits.toml``.
+"""Numbers of modules (times, sizes, speeds), stated a second time in ``tests/limits.toml``.
 
-Many tests take a limit from the module that they test, and hold whatever it says. So each number
-that a module of these rooms gives a name in capitals stands in that table, too: who changes one
-does so twice, and a reader of the change sees it. Behaviour at a limit is a test of its module.
+Many tests take a limit from the module that they test, and hold whatever it says. So these numbers
+of the rooms below stand in that table, too: those that a module gives a name in capitals, and those
+that a field or an argument has by default, but 0. A change of one is a change of two files, and a
+reader sees it. Behaviour at a limit is a test of its module.
 
 ``python -m tests.limits`` prints what the table lacks, for a reader to agree with.
 """
@@ -23,6 +24,8 @@ __all__ = ["differences"]
 
 ROOMS = ("apps/agent", "apps/bus", "apps/cli", "apps/doctor", "apps/station", "flight", "missions")
 
+Defaults = Iterator[tuple[str, ast.expr | None]]
+
 
 @cache
 def agreed() -> dict[str, dict[str, object]]:
@@ -30,17 +33,48 @@ def agreed() -> dict[str, dict[str, object]]:
     return tomllib.loads(Path(__file__).with_name("limits.toml").read_text(encoding="utf-8"))
 
 
-def named(module: Path) -> Iterator[tuple[str, object]]:
-    """Each number, and each row of numbers, that the module names; rows as lists."""
-    loaded = importlib.import_module(name_of(module))
-    for node in tree(module).body:
-        if not isinstance(node, ast.Assign | ast.AnnAssign) or node.value is None:
-            continue
-        for target in node.targets if isinstance(node, ast.Assign) else [node.target]:
-            if isinstance(target, ast.Name) and target.id.isupper():
-                number = as_list(getattr(loaded, target.id))
-                if number is not None:
-                    yield target.id, number
+def numbers(module: Path) -> dict[str, object]:
+    """Each number that the module names or has by default; rows of numbers as lists."""
+    loaded, program = importlib.import_module(name_of(module)), tree(module)
+    named = {name: as_list(getattr(loaded, name)) for name in capitals(program)}
+    said = {name: as_list(literal(value)) for name, value in defaults(program)}
+    by_default = {name: value for name, value in said.items() if value}
+    return {name: value for name, value in named.items() if value is not None} | by_default
+
+
+def capitals(program: ast.Module) -> Iterator[str]:
+    for node in program.body:
+        if isinstance(node, ast.Assign | ast.AnnAssign) and node.value is not None:
+            for target in node.targets if isinstance(node, ast.Assign) else [node.target]:
+                for one in target.elts if isinstance(target, ast.Tuple) else [target]:
+                    if isinstance(one, ast.Name) and one.id.isupper():
+                        yield one.id
+
+
+def defaults(program: ast.AST, within: str = "") -> Defaults:
+    """Those of fields, as ``Class.field``, and of arguments, as ``function(argument)``."""
+    for node in ast.iter_child_nodes(program):
+        if isinstance(node, ast.ClassDef):
+            is_enum = any("Enum" in ast.unparse(base) for base in node.bases)  # names, not limits
+            for one in [] if is_enum else node.body:
+                if isinstance(one, ast.Assign | ast.AnnAssign):
+                    target = one.targets[0] if isinstance(one, ast.Assign) else one.target
+                    yield f"{within}{node.name}.{ast.unparse(target)}", one.value
+            yield from defaults(node, f"{within}{node.name}.")
+        elif isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            given = node.args
+            by_place = [*given.posonlyargs, *given.args][::-1]
+            pairs = [*zip(by_place, given.defaults[::-1], strict=False)]
+            for argument, value in [*pairs, *zip(given.kwonlyargs, given.kw_defaults, strict=True)]:
+                yield f"{within}{node.name}({argument.arg})", value
+
+
+def literal(value: ast.expr | None) -> object:
+    """What an expression of numbers alone says; None of any other."""
+    signs = (ast.Constant, ast.BinOp, ast.UnaryOp, ast.operator, ast.unaryop)
+    if value is None or not all(isinstance(part, signs) for part in ast.walk(value)):
+        return None
+    return eval(compile(ast.Expression(value), "a default", "eval"))
 
 
 def as_list(value: object) -> object:
@@ -57,22 +91,18 @@ def differences(room: str) -> list[str]:
     """Each number of a room that the table does not have, or has otherwise; and rows of none."""
     seen: dict[str, dict[str, object]] = {}
     for path in sorted((PACKAGE / room).rglob("*.py")):
-        if found := dict(named(path)):
+        if found := numbers(path):
             seen[name_of(path).removeprefix("m100link.")] = found
-    stated = {name: rows for name, rows in agreed().items() if is_of(name, room)}
-    pairs = {
-        (module, name) for table in (seen, stated) for module in table for name in table[module]
-    }
+    begin = f"{room.replace('/', '.')}."
+    stated = {name: rows for name, rows in agreed().items() if f"{name}.".startswith(begin)}
+    tables = (*seen.items(), *stated.items())
+    pairs = {(module, name) for module, rows in tables for name in rows}
     return [
-        f"{module}.{name}: {now!r}, agreed {then!r}"
+        f"{module}: {name} = {now!r}, agreed {then!r}"
         for module, name in sorted(pairs)
         if (now := seen.get(module, {}).get(name)) != (then := stated.get(module, {}).get(name))
         or type(now) is not type(then)
     ]
-
-
-def is_of(module: str, room: str) -> bool:
-    return f"{module}.".startswith(f"{room.replace('/', '.')}.")
 
 
 if __name__ == "__main__":
