@@ -8,6 +8,7 @@ from __future__ import annotations
 import asyncio
 import io
 import math
+import signal
 import sys
 import time
 from collections.abc import AsyncIterator
@@ -23,6 +24,8 @@ from rich.table import Table
 from m100link import AckTimeout, GuardRefused, LinkError, UsageError
 from m100link.apps.agent.messages import RemoteError
 from m100link.apps.cli import (
+    common,
+    configuration,
     connection,
     demo,
     fleet_plans,
@@ -33,23 +36,27 @@ from m100link.apps.cli import (
     telemetry,
 )
 from m100link.apps.cli.mission import event_name, event_words
-from m100link.apps.cli.terminal import ExitCode
+from m100link.apps.cli.terminal import ExitCode, ReaderGone
 from m100link.apps.doctor import Finding, Stage, Verdict
+from m100link.apps.doctor.first_contact import Observation, Topic
 from m100link.apps.fleet.payloads import Card, MissionCard, MissionStage
 from m100link.flight.mission_state import MissionKind
 from m100link.flight.missions.events import (
     Aborted,
     ActionsDone,
     Finished,
+    MissionProgress,
     Reached,
     Started,
     Uploaded,
     Uploading,
 )
+from m100link.flight.tasks import TaskProgress
 from m100link.geodesy import LocalFrame
 from m100link.link.statistics import RoundTrips
 from m100link.missions.plan import AtEnd
 from m100link.protocol import Battery, FlightPhase, FlightStatus, Position
+from m100link.protocol.commands.control import Task
 from m100link.protocol.firmware import PROFILES
 from m100link.protocol.items import BY_RECORD
 from m100link.sim import VirtualClockEventLoop
@@ -655,6 +662,463 @@ def test_the_commonest_round_trip_has_40_blocks_and_the_others_their_share(
 def test_the_way_of_the_demo_is_all_its_legs_and_ends_beside_its_first_place() -> None:
     flight = demo._Flight(track=[(0.0, 0.0), (3.0, 4.0), (3.0, 0.0)])  # north, east, m
     assert (flight.path_length_m, flight.returned_within_m) == (9.0, 3.0)
+
+
+# -- what a terminal shows, and what is refused in words ------------------------------------------
+
+
+@pytest.fixture
+def said(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """What verbs print on both streams, at a terminal of 200 columns, line by line."""
+    written = io.StringIO()
+    screen = Console(file=written, width=200, highlight=False)
+    for module in (connection, flight, mission, telemetry):
+        monkeypatch.setattr(module, "out", screen, raising=False)
+        monkeypatch.setattr(module, "err", screen, raising=False)
+    monkeypatch.setattr(sys, "stdin", SimpleNamespace(isatty=lambda: True))
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
+    return lambda: [line.rstrip() for line in written.getvalue().replace("\r", "\n").splitlines()]
+
+
+@pytest.mark.parametrize(
+    ("phase", "height_m", "shown"),
+    [
+        (FlightPhase.TAKING_OFF, 0.456, " 12.3 s  taking off          0.46 m"),
+        (None, None, " 12.3 s"),
+    ],
+)
+def test_how_far_a_task_is(said: Any, phase: Any, height_m: Any, shown: str) -> None:
+    flight._tell(TaskProgress(Task.TAKE_OFF, 12.34, phase, height_m, None))
+    assert said() == [shown]
+
+
+def test_nothing_is_shown_where_nobody_looks(said: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: False, raising=False)
+    flight._tell(TaskProgress(Task.LAND, 1.0, None, None, None))
+    assert said() == []
+
+
+@pytest.mark.parametrize(
+    ("words", "seen"),
+    [
+        ((), "no action was given"),
+        (("sim://",), "no action was given"),
+        (("explode",), "the camera has no action 'explode'"),
+        (("sim://", "explode"), "the camera has no action 'explode'"),
+        (("photo", "photo"), "2 actions were given: photo photo"),
+        (("photo", "sim://"), "'photo sim://' is not an aircraft and an action"),
+        (("a", "b", "photo"), "'a b photo' is not an aircraft and an action"),
+    ],
+)
+async def test_what_is_no_action_of_the_camera(words: tuple[str, ...], seen: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        await flight.camera(*words)
+    assert caught.value.seen == seen
+    assert caught.value.remedy.endswith("one of: photo, start-video, stop-video")
+
+
+@pytest.mark.parametrize(
+    ("words", "found"),
+    [
+        (["attitude=50", "battery=1"], {"attitude": 50, "battery": 1}),
+        (["rc=0"], {"rc": 0}),
+        ([], {}),
+        (["rc"], "'rc' is not a rate"),
+        (["rc="], "'rc=' is not a rate"),
+        (["rc=-1"], "'rc=-1' is not a rate"),
+        (["rc=²"], "'rc=²' is not a rate"),
+        (["rc=1", "rc=10"], "two rates were given for rc"),
+    ],
+)
+def test_rates_are_pairs(words: list[str], found: Any) -> None:
+    if isinstance(found, dict):
+        assert flight._pairs(words) == found
+        return
+    with pytest.raises(UsageError) as caught:
+        flight._pairs(words)
+    assert caught.value.seen == found
+
+
+@pytest.mark.parametrize(
+    ("word", "is_rate"), [("rc=1", True), ("rc", False), ("sim://?firmware=3.1", False)]
+)
+def test_a_place_is_no_rate(word: str, is_rate: bool) -> None:
+    assert flight._is_rate(word) is is_rate
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"rates": True},
+        {"rates": True, "relative": True, "yaw": 1.0},
+        {"pitch": 30.1},
+        {"roll": -36.0},
+    ],
+)
+async def test_a_gimbal_is_refused_before_a_port_is_opened(wrong: dict[str, Any]) -> None:
+    def opened() -> None:
+        raise AssertionError("nothing is opened for what cannot be")
+
+    place = SimpleNamespace(is_virtual=False, connect=opened, credentials=opened)
+    options: Any = SimpleNamespace(place=lambda url: place)
+    with pytest.raises(UsageError):
+        await flight.gimbal(options=options, **wrong)
+
+
+def waypoint_flight(ended_by: BaseException | None) -> Any:
+    """A mission that reaches waypoint 1, is over, and ends so."""
+
+    class Mission:
+        is_over = True
+
+        async def __aenter__(self) -> Mission:
+            return self
+
+        async def __aexit__(self, *_: object) -> None:
+            return None
+
+        async def __aiter__(self) -> AsyncIterator[Any]:
+            yield Reached(1)
+            if ended_by is not None:
+                raise ended_by
+
+    return Mission()
+
+
+@pytest.mark.parametrize(
+    ("ended_by", "status", "told"),
+    [
+        (None, ExitCode.OK, []),
+        (ReaderGone(), ExitCode.FAILED, ["output closed: mission stopped after waypoint 1; the"]),
+        (asyncio.CancelledError(), None, ["mission stopped after waypoint 1; the aircraft hovers"]),
+    ],
+)
+async def test_a_mission_that_is_left_says_where_once_control_went_back(
+    said: Any, capsys: pytest.CaptureFixture[str], ended_by: Any, status: Any, told: list[str]
+) -> None:
+    order: list[str] = []
+
+    async def telemetry(*_: object, **__: object) -> AsyncIterator[Any]:
+        await asyncio.sleep(100)
+        yield None
+
+    state = shown_mission()._aircraft.state
+    aircraft = SimpleNamespace(telemetry=telemetry, state=state)
+    control = SimpleNamespace(waypoint_mission=lambda *_, **__: waypoint_flight(ended_by))
+
+    @asynccontextmanager
+    async def controlled() -> AsyncIterator[Any]:
+        try:
+            yield aircraft, control
+        finally:
+            order.extend([*said(), "control went back"])
+
+    flying = mission._fly(controlled(), short_plan(), take_off=False, allow_far=False)
+    if status is None:
+        with pytest.raises(asyncio.CancelledError):
+            await flying
+    else:
+        assert await flying == status
+    assert order == ["control went back"]
+    assert len(said()) == len(told)
+    assert all(line.startswith(begin) for line, begin in zip(said(), told, strict=True))
+    assert '"event": "reached"' in capsys.readouterr().out
+
+
+def test_a_terminal_has_a_map_and_the_progress_in_metres_and_seconds(
+    said: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True, raising=False)
+    show = shown_mission()
+    show.tell(Reached(1), FLIES)
+    assert said() == ["reached 1"]
+    show.tell(MissionProgress(61.4, 2, None, 12.6, 10.0), FLIES)
+    assert show._line == f"{show._bar(2)} 2 of 4  13 m to waypoint 2, 61 s"
+    assert said() == ["reached 1"], "progress is drawn, and no line of its own"
+    show._track = [(0.0, 0.0), (5.0, 5.0)]
+    assert "".join(show._map()).count("@") == 1
+    show.end()
+    assert len(said()) > 10
+
+
+@pytest.mark.parametrize(
+    ("firmware", "phase", "waits", "is_refused"),
+    [
+        ("3.1", FlightPhase.STANDBY, 0.0, True),
+        ("3.1", FlightPhase.IN_AIR, 0.0, False),
+        ("3.1", None, 1.0, False),
+        ("1.0", FlightPhase.STANDBY, 0.0, False),  # it is refused for its firmware later
+    ],
+)
+async def test_a_mission_from_the_ground_is_refused_if_the_aircraft_says_that_it_stands_there(
+    firmware: str, phase: FlightPhase | None, waits: float, is_refused: bool
+) -> None:
+    status = None if phase is None else FlightStatus(phase)
+    aircraft: Any = SimpleNamespace(
+        firmware=PROFILES[firmware], state=SimpleNamespace(believed_status=status)
+    )
+    loop = asyncio.get_running_loop()
+    began = loop.time()
+    if is_refused:
+        with pytest.raises(UsageError, match="the aircraft stands on the ground"):
+            await mission._require_airborne(aircraft)
+    else:
+        await mission._require_airborne(aircraft)
+    assert loop.time() - began == pytest.approx(waits, abs=0.051)
+
+
+ROWS = {
+    "bytes_received": 1000,
+    "frames_received": 99,
+    "bytes_sent": 500,
+    "frames_sent": 44,
+    "discarded_bytes": 7,
+    "discards": {"frame_crc": 3},
+    "repeats": 4,
+    "acks": 33,
+    "late_acks": 5,
+    "duplicate_acks": 6,
+    "foreign_acks": 8,
+    "dropped_writes": 9,
+}
+
+
+def test_a_line_is_told_with_each_count_at_its_name(said: Any) -> None:
+    connection._print(
+        {
+            "line": ROWS,
+            "asked": 20,
+            "unanswered": 2,
+            "telemetry": {"battery": 1.0, "time": None},
+            "telemetry_mismatches": 11,
+            "latency": "slow line",
+            "round_trips": {"count": 0},
+        }
+    )
+    assert [" ".join(line.split()) for line in said()] == [
+        "received 1000 bytes, 99 frames",
+        "sent 500 bytes, 44 frames",
+        "discarded 7 bytes, frame_crc 3",
+        "questions 20, 2 without an answer, 4 repeats",
+        "acks 33; late 5, twice 6, to no question 8",
+        "not written 9 frames",
+        "telemetry battery 1 Hz, time",
+        "latency slow line",
+        "warning 11 telemetry packages do not fit this firmware",
+    ]
+
+
+@pytest.mark.parametrize("is_known", [True, False])
+def test_an_aircraft_is_told_with_what_it_does_not_say(said: Any, is_known: bool) -> None:
+    connection._print_info(
+        {
+            "version": "M100",
+            "serial": "0123" if is_known else None,
+            "activated": is_known,
+            "firmware": "3.1",
+            "firmware_is_forced": not is_known,
+            "firmware_summary": "summary",
+            "acceleration": "raw" if is_known else None,
+            "telemetry": {},
+            "telemetry_mismatches": 0,
+            "latency": "",
+            "line": ROWS,
+        }
+    )
+    assert [" ".join(line.split()) for line in said()] == [
+        "version M100",
+        "serial 0123" if is_known else "serial this firmware does not report it",
+        "activated yes" if is_known else "activated no",
+        "firmware 3.1 (by its version)" if is_known else "firmware 3.1 (forced)",
+        "summary",
+        "acceleration raw" if is_known else "acceleration raw or fused: not known yet",
+        "telemetry nothing arrives",
+        "line 1000 bytes, 99 frames, 7 bytes discarded {'frame_crc': 3}",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("verdict", "shown"),
+    [
+        (Verdict.GOOD, ["✓ the port exists               it is there"]),
+        (
+            Verdict.DOUBTFUL,
+            [
+                "! the port exists               it is there",
+                "    likely 1. a loose plug",
+                "           2. no power",
+                "    to do  1. m100link ports",
+            ],
+        ),
+    ],
+)
+def test_a_finding_is_told_and_a_doubt_has_its_causes(
+    said: Any, verdict: Verdict, shown: list[str]
+) -> None:
+    finding = Finding(
+        Stage.PORT, verdict, "it is there", ("a loose plug", "no power"), ("m100link ports",)
+    )
+    connection._tell(finding)
+    assert said() == shown
+
+
+@pytest.mark.parametrize(
+    ("observation", "shown"),
+    [
+        (Observation(Topic.RELEASE, "released", "3 of 3"), "✓ {} released: 3 of 3"),
+        (Observation(Topic.RELEASE, "", "no app id"), "– {} not seen: no app id"),
+        (
+            Observation(Topic.RELEASE, "refused", "3 of 3"),
+            "! {} refused: 3 of 3 (the virtual aircraft: released)",
+        ),
+    ],
+)
+def test_an_observation_is_told_beside_what_the_virtual_aircraft_does(
+    said: Any, observation: Observation, shown: str
+) -> None:
+    connection._tell_observation(observation)
+    assert [" ".join(line.split()) for line in said()] == [shown.format("answers to releasing")]
+
+
+@pytest.mark.parametrize(
+    ("answer", "agrees"), [("y", True), ("YES", True), ("", False), ("n", False), ("yess", False)]
+)
+@pytest.mark.parametrize("ask", [connection._agrees, lambda: connection._asked("Lift it.")])
+async def test_a_person_agrees_by_yes_alone(
+    said: Any, monkeypatch: pytest.MonkeyPatch, ask: Any, answer: str, agrees: bool
+) -> None:
+    async def read_line() -> str:
+        return answer
+
+    monkeypatch.setattr(connection, "read_line", read_line)
+    assert await ask() is agrees
+    assert "[y/N]" in said()[0]
+
+
+@pytest.mark.parametrize("ask", [connection._agrees, lambda: connection._asked("Lift it.")])
+async def test_without_a_terminal_nobody_agrees(
+    said: Any, monkeypatch: pytest.MonkeyPatch, ask: Any
+) -> None:
+    monkeypatch.setattr(sys, "stdin", SimpleNamespace(isatty=lambda: False))
+    assert await ask() is False
+
+
+@pytest.mark.parametrize(
+    ("field", "seen", "remedy"),
+    [
+        ("battery", "battery is an item, not a column", "one of: battery.percent"),
+        (
+            "position.hight_m",
+            "no column is called 'position.hight_m'",
+            "did you mean position.height_m? col",
+        ),
+        ("xyzzy", "no column is called 'xyzzy'", "columns: "),
+    ],
+)
+def test_a_column_that_there_is_not_is_named_with_those_that_are(
+    field: str, seen: str, remedy: str
+) -> None:
+    with pytest.raises(UsageError) as caught:
+        telemetry.plot("here.csv", field)
+    assert caught.value.seen == seen
+    assert remedy in caught.value.remedy
+
+
+@pytest.mark.parametrize(
+    ("text", "status", "told"),
+    [
+        ("received_at,battery.percent\n1.0,80\n2.0,\n3.0,70\n", ExitCode.OK, ""),
+        ("received_at,battery.percent\n1.0,\n", ExitCode.FAILED, "  nothing received"),
+        ("received_at,battery.percent\n1.0,80\nx,70\n", None, "line 3: could not convert"),
+        ("battery.percent\n80\n", None, "line 2: 'received_at'"),
+        (None, None, "No such file"),
+    ],
+)
+def test_a_file_is_plotted_or_its_line_is_named(
+    said: Any, tmp_path: Path, text: str | None, status: Any, told: str
+) -> None:
+    path = tmp_path / "flight.csv"
+    if text is not None:
+        path.write_text(text)
+    if status is None:
+        with pytest.raises(UsageError, match=told):
+            telemetry.plot(str(path), "battery.percent")
+        return
+    assert telemetry.plot(str(path), "battery.percent") == status
+    assert said()[0] == "battery.percent"
+    if told:
+        assert said()[1:] == [told]
+    else:
+        assert [any(label in line for line in said()) for label in ("80", "70")] == [True, True]
+
+
+@pytest.mark.parametrize(
+    ("found", "url", "named"),
+    [
+        (["/dev/ttyUSB0"], None, "/dev/ttyUSB0"),
+        ([], None, None),
+        (["/dev/ttyUSB0"], "sim://", None),
+        (["/dev/ttyUSB0", "/dev/ttyUSB1"], "sim://", None),
+    ],
+)
+def test_the_doctor_takes_the_only_port(
+    monkeypatch: pytest.MonkeyPatch, found: list[str], url: str | None, named: str | None
+) -> None:
+    monkeypatch.delenv("M100LINK_URL", raising=False)
+    monkeypatch.setattr(connection, "serial_ports", lambda: found)
+    assert connection._only_port(cast("Any", SimpleNamespace(url=url))) == named
+
+
+@pytest.mark.parametrize(
+    ("name", "good", "bad"),
+    [
+        ("baud", (1, 230400), (0, -1, "9600", 9600.0)),
+        ("timeout", (0.1, 3, 1e9), (0, -1.0, math.inf, math.nan, "3", True)),
+        ("firmware", ("3.1",), ("9.9", 3.1)),
+        ("acceleration", ("raw", "fused"), ("half", 1)),
+        ("seen", ({},), ("", 1)),
+    ],
+)
+def test_what_a_configuration_may_say(name: str, good: Any, bad: Any) -> None:
+    assert [configuration._wrong(name, value) for value in good] == [""] * len(good)
+    assert all(configuration._wrong(name, value) for value in bad)
+
+
+async def test_an_end_is_an_event_and_cancels_what_began_it_until_it_is_waited_for() -> None:
+    """A verb may wait for a router that never answers."""
+    waited: list[bool] = []
+
+    async def verb(*, waits: bool) -> None:
+        ended = common.Ended()
+        asyncio.get_running_loop().call_later(1.0, ended._tell)
+        if waits:
+            waited.append(await ended.wait())
+        else:
+            await asyncio.sleep(1000)
+
+    loop = asyncio.get_running_loop()
+    numbers: list[int] = []
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(loop, "add_signal_handler", lambda number, _: numbers.append(number))
+        await asyncio.create_task(verb(waits=True))
+        with pytest.raises(asyncio.CancelledError):
+            await asyncio.create_task(verb(waits=False))
+    assert waited == [True]
+    assert numbers[:2] == [signal.SIGINT, signal.SIGTERM]
+
+
+async def test_a_duration_ends_a_verb_and_an_error_of_its_own_does_too() -> None:
+    loop = asyncio.get_running_loop()
+    began = loop.time()
+    await common.until(2.5, asyncio.sleep(100))
+    assert loop.time() - began == pytest.approx(2.5)
+    await common.until(None, asyncio.sleep(1))
+
+    async def fails() -> None:
+        raise TimeoutError("of its own")
+
+    with pytest.raises(TimeoutError, match="of its own"):
+        await common.until(2.5, fails())
 
 
 def test_each_limit_is_as_agreed() -> None:
