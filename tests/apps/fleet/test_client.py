@@ -6,16 +6,18 @@ import asyncio
 import inspect
 from collections.abc import Awaitable, Callable
 from typing import Any, cast
+from unittest.mock import AsyncMock, MagicMock, call
 
 import anyio
 import pytest
 
 from m100link.apps.agent import orders
 from m100link.apps.agent.messages import MessageError
-from m100link.apps.fleet.client import Change, FleetAircraft
+from m100link.apps.fleet import client as clients
+from m100link.apps.fleet.client import Change, Fleet, FleetAircraft
 from m100link.apps.fleet.keys import Keys
 from m100link.apps.fleet.payloads import AskShow, Card, Outcome, pack
-from m100link.errors import LinkError, OutcomeUnknown
+from m100link.errors import GuardRefused, LinkError, OutcomeUnknown, Unreachable
 from tests.apps.bus.memory import Weather
 from tests.apps.fleet.conftest import SITE, OnBoard, Rig, with_camera
 from tests.apps.fleet.test_payloads import BOTH, OLD_CARD, OLD_HELLO, OLD_LOGS, OLD_REPLY
@@ -323,3 +325,124 @@ async def test_what_is_lost_on_a_way_of_a_second_is_asked_again(rig: Rig, seed: 
     rig.network.seed(seed)
     rig.network.weather = Weather(loss=0.3, delay_s=1.0, jitter_s=0.2)
     assert await told(rig, FleetAircraft.stop) is Outcome.OK, f"seed {seed}"
+
+
+# -- values: who is asked, with what, and what is left of it ---------------------------------------
+
+
+def at(name: str, session: str = "beef") -> str:
+    return f"m100-live/field/{name}/{session}"
+
+
+class Ground:
+    """A client whose network is made of mocks; ``tokens`` are those that it answers with."""
+
+    def __init__(self, *tokens: str, **options: Any) -> None:
+        self.held: list[Any] = [MagicMock(), MagicMock()]
+        self.bus: Any = MagicMock(tokens=AsyncMock(return_value=list(tokens)), ask=AsyncMock())
+        self.bus.subscribe.return_value, self.bus.watch.return_value = self.held
+        self.fleet = Fleet(self.bus, site="field", name="anna", **options)
+
+
+async def test_a_client_hears_states_and_tokens_as_long_as_it_is_open() -> None:
+    one = Ground(at("kite"), at("hawk"), "m100-live/field/no name/9f", patience=7.5)
+    async with one.fleet as fleet:
+        assert fleet.present == {"kite", "hawk"}
+        asked = call.tokens("m100-live/field/*/*", timeout=7.5)
+        heard = call.subscribe("m100/field/*/state", fleet._on_state, within=0.05)
+        watched = call.watch("m100-live/field/*/*", fleet._on_token)
+        assert one.bus.mock_calls == [asked, heard, watched]
+        assert [held.close.call_count for held in one.held] == [0, 0]
+    assert [held.close.call_count for held in one.held] == [1, 1]
+
+
+async def test_the_names_are_those_known_and_those_found_now() -> None:
+    one = Ground(at("kite"), at("a10"), "m100-live/field/no name/9f")
+    one.fleet._on_token(at("a9"), is_there=True)
+    assert await one.fleet.names() == ["a9", "a10", "kite"]
+
+
+async def test_changes_begin_with_those_that_are_there_and_end_with_their_reader() -> None:
+    fleet = Ground().fleet
+    for name in ("a10", "a9"):
+        fleet._on_token(at(name), is_there=True)
+    changes: Any = fleet.changes()
+    assert [(await anext(changes)).name for _ in range(2)] == ["a9", "a10"]
+    waiting = asyncio.ensure_future(anext(changes))
+    await asyncio.sleep(0.0)
+    fleet._on_token(at("a9", "f00d"), is_there=True)  # a second session of its name
+    await asyncio.sleep(0.1)
+    assert not waiting.done()
+    fleet._on_token(at("a10"), is_there=False)
+    assert await waiting == Change("a10", False)
+    await changes.aclose()
+    assert fleet._listeners == []
+
+
+async def test_each_aircraft_has_its_own_result() -> None:
+    fleet, asked = Ground(at("kite")).fleet, list[str]()
+
+    async def do(one: FleetAircraft) -> object:
+        asked.append(one.name)
+        if one.name == "hawk":
+            raise GuardRefused("low", guard="battery")
+        return len(asked)
+
+    found = await fleet.each(do, ["crow", "hawk", "crow", "wren"])
+    assert asked == ["crow", "hawk", "wren"]
+    assert [(name, one.outcome, one.value) for name, one in found.items()] == [
+        ("crow", Outcome.OK, 1),
+        ("hawk", Outcome.REFUSED, None),
+        ("wren", Outcome.OK, 3),
+    ]
+    assert list(await fleet.each(do)) == ["kite"], "those that are present"
+
+
+async def test_who_answers_no_question_to_all_is_asked_alone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A router with rules lets nobody ask all who may not ask each."""
+    kite, hawk = Card("kite", "5c", 1.0), Card("hawk", "5d", 2.0)
+    answers = {"*": {"kite": kite}, "hawk": {"hawk": hawk}, "wren": {}}
+    asked: list[str] = []
+
+    async def cards(bus: Any, keys: Keys) -> dict[str, Card]:
+        assert bus is one.bus
+        asked.append(keys.name)
+        return dict(answers[keys.name])
+
+    one = Ground(at("kite"), at("hawk"), at("wren"))
+    monkeypatch.setattr(clients, "cards", cards)
+    assert await one.fleet.cards() == {"kite": kite, "hawk": hawk}
+    assert asked == ["*", "hawk", "wren"]
+    aircraft, order = one.fleet["wren"], AsyncMock()
+    monkeypatch.setattr(aircraft.asker, "ask", order)
+    order.side_effect = lambda _: answers.update(wren={"wren": hawk})
+    assert await aircraft.card() is hawk
+    assert order.mock_calls == [call(orders.AskVersion())], "which says why there is none"
+
+
+async def test_what_is_asked_of_an_aircraft_reaches_its_reader(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    one = Ground(patience=7.5).fleet["kite"]
+    fetcher, mission, reach = MagicMock(), AsyncMock(), AsyncMock()
+    fetcher.return_value.fetch = AsyncMock()
+    monkeypatch.setattr(clients, "LogFetcher", fetcher)
+    monkeypatch.setattr(clients, "mission_card", mission)
+    monkeypatch.setattr(clients, "reach", reach)
+    progress = MagicMock()
+    await one.fetch_log("flight.mcap", "logs", progress)
+    fetcher.assert_called_once_with(one.asker)
+    fetcher.return_value.fetch.assert_called_once_with("flight.mcap", "logs", progress)
+    monkeypatch.setattr(one.asker, "is_there", AsyncMock(side_effect=[False, True]))
+    with pytest.raises(Unreachable):
+        await one.mission()
+    await one.mission()
+    mission.assert_called_once_with(one.asker, patience=7.5)
+    fleet = Ground().fleet
+    asker = MagicMock()
+    monkeypatch.setattr(fleet, "asker", asker)
+    await fleet.reach("kite")
+    reach.call_args.args[0]("console")
+    asker.assert_called_once_with("kite", "console")

@@ -2,16 +2,29 @@
 
 from __future__ import annotations
 
+import asyncio
 import random
 from collections import Counter
+from types import SimpleNamespace
+from typing import Any, cast
+from unittest.mock import MagicMock, call
 
 import anyio
 import pytest
 
+from m100link.apps.agent import messages
+from m100link.apps.agent.messages import LeaseChanged
+from m100link.apps.agent.orders import UploadPlan
+from m100link.apps.bus.network import Question
 from m100link.apps.fleet.keys import Keys
-from m100link.apps.fleet.payloads import unpack_message
-from m100link.apps.fleet.publisher import FleetTelemetry, Thinner
+from m100link.apps.fleet.payloads import pack, unpack_message
+from m100link.apps.fleet.publisher import FleetTelemetry, StatePublisher, Thinner
+from m100link.errors import AuthorityLost
+from m100link.missions.plan import WaypointPlan
+from m100link.missions.waypoint import Waypoint
+from m100link.protocol.codes import ActivationCode
 from m100link.protocol.records import Attitude, Battery
+from tests import known
 from tests.apps.fleet.conftest import SITE, Rig
 
 pytestmark = pytest.mark.anyio
@@ -72,6 +85,116 @@ async def test_what_fronts_elsewhere_hear_comes_again_lest_it_was_lost(rig: Rig)
     await anyio.sleep(10.0)
     often = {"State": 40, "Hello": 10, "LeaseChanged": 10, "LinkCounted": 10, "PlanChanged": 2}
     assert heard == often
+
+
+HELLO = messages.Hello(messages.VERSION, "5c0f8b1e", 40.25)
+PLAN = WaypointPlan([Waypoint(-33.12, 151.23, 9.0), Waypoint(-33.13, 151.22, 8.0)])
+
+
+class Teller:
+    """The publisher of one aircraft, and what it sent."""
+
+    def __init__(self, **changed: Any) -> None:
+        self.client: Any = SimpleNamespace(
+            state=messages.State(39.5, "connected"),
+            holder=LeaseChanged(17, "tower"),
+            link=messages.LinkCounted(39.25, {"frames": 7}, {}, 0.125),
+            **{"plan": None, "plan_by": "", "now": 40.25},
+            **{f"on_{one}": [] for one in ("lease", "authority_taken", "activating")},
+            on_mission_report=[],
+        )
+        vars(self.client).update(changed)
+        self.bus = MagicMock()
+        self.outlet = self.bus.publish.return_value
+        self.publisher = StatePublisher(
+            cast(Any, self.client), self.bus, Keys(SITE, "a1"), "5c0f8b1e"
+        )
+
+    def sent(self) -> list[messages.Message]:
+        found = [unpack_message(one.args[0]) for one in self.outlet.put.mock_calls]
+        self.outlet.put.reset_mock()
+        return found
+
+
+async def test_each_message_of_the_agent_is_told_and_nothing_is_left_behind() -> None:
+    one = Teller()
+    client = one.client
+    one.outlet.is_wanted.return_value = False
+    running = asyncio.create_task(one.publisher.run())
+    await asyncio.sleep(1.0)
+    assert one.sent() == [], "nobody listens"
+    for told, heard in (
+        (client.on_lease, LeaseChanged(18, "anna")),
+        (client.on_authority_taken, AuthorityLost("the pilot left F")),
+        (client.on_activating, ActivationCode.ENCRYPTED),
+        (client.on_mission_report, messages.MissionReport(2, b"12345")),
+    ):
+        [tell] = told
+        tell(heard)
+    hello, lease, taken, *others = one.sent()
+    assert (hello, lease) == (HELLO, LeaseChanged(18, "anna"))
+    assert isinstance(taken, messages.AuthorityTaken)
+    assert (taken.fault.kind, taken.fault.seen) == ("AuthorityLost", "the pilot left F")
+    code = int(ActivationCode.ENCRYPTED)
+    assert others == [messages.Activating(code), messages.MissionReport(2, b"12345")]
+    key, greet = one.bus.serve.call_args.args
+    answers: list[bytes] = []
+    greet(Question(key, b"", lambda _, data: answers.append(data), lambda: None))
+    assert answers == [pack(HELLO)], "a listener that came late"
+    one.outlet.is_wanted.return_value = True
+    await asyncio.sleep(0.25)
+    assert client.state in one.sent()
+    running.cancel()
+    await asyncio.wait([running])
+    one.outlet.close.assert_called_once_with()
+    one.bus.serve.return_value.close.assert_called_once_with()
+    lists = [getattr(client, name) for name in vars(client) if name.startswith("on_")]
+    assert lists == [[], [], [], []]
+
+
+def test_lease_and_counters_go_with_each_fourth_state_and_a_plan_as_it_changes() -> None:
+    one = Teller()
+    client, tell = one.client, one.publisher._tell_state
+    one.publisher._outlet = one.outlet
+    lease, no_plan = [HELLO, LeaseChanged(17, "tower")], messages.PlanChanged("", None)
+    tell(0)
+    assert one.sent() == [client.state, *lease, client.link, no_plan]
+    tell(1)
+    assert one.sent() == [client.state]
+    client.plan, client.plan_by, client.link = PLAN, "anna", None
+    tell(2)
+    with_plan = messages.PlanChanged("anna", UploadPlan.of(PLAN))
+    assert one.sent() == [client.state, with_plan]
+    tell(3)
+    assert one.sent() == [client.state]
+    tell(4)
+    assert one.sent() == [client.state, *lease]
+    for turn, with_it in ((19, []), (20, [*lease, with_plan]), (24, lease), (40, lease)):
+        tell(turn)
+        assert one.sent()[1:] == with_it + ([with_plan] if turn == 40 else [])
+
+
+@pytest.mark.parametrize(
+    ("is_full", "key", "within"),
+    [(True, "m100/field/a1/tel", 0.0), (False, "m100/field/a1/tel/5hz", 0.05)],
+)
+async def test_an_overview_hears_thinned_packages_in_groups(
+    is_full: bool, key: str, within: float
+) -> None:
+    bus, taken = MagicMock(), list[str]()
+    hears = FleetTelemetry(
+        bus, Keys(SITE, "a1"), full=is_full, on_sample=lambda name, _: taken.append(name)
+    )
+    assert bus.subscribe.mock_calls == [call(key, hears._heard, depth=20_000, within=within)]
+    package = messages.Telemetry(known.package("2.3"), "2.3", 7.0)
+    short = messages.Telemetry(known.package("2.3")[:-1], "2.3", 7.0)
+    unknown = messages.Telemetry(known.package("2.3"), "9.9", 7.0)
+    for message in (package, package, short, unknown, HELLO):
+        hears._heard(key, pack(message))
+    assert (taken, hears.received["a1"], hears.unread) == (["a1", "a1"], 2, 3)
+    state = hears.states["a1"]
+    hears._heard(key, pack(package))
+    assert hears.states["a1"] is state, "items of earlier packages stay"
 
 
 # -- An overview gets each item at its own rate or five times a second -----------------------------
@@ -137,3 +260,9 @@ def test_two_that_were_read_at_once_are_reported_once() -> None:
     thinner = Thinner(5.0)
     told = [at for at in range(100) for _ in range(2) if thinner.goes_on(FAST, at / 100)]
     assert told == [0, *range(20, 100, 20)]
+
+
+def test_the_last_of_sixteen_items_is_one() -> None:
+    thinner = Thinner(5.0)
+    told = [tick for tick in range(100) if thinner.goes_on(1 << 15, tick / 100)]
+    assert told == list(range(0, 100, 20))

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import asyncio
 import base64
 import json
+import os
 import shutil
 import subprocess
 from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
+from unittest.mock import AsyncMock, MagicMock, call
 
 import anyio
 import pytest
@@ -18,11 +21,14 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.hazmat.primitives.serialization import load_pem_private_key
 
+from m100link.apps.agent.messages import MessageError
+from m100link.apps.bus.network import Question
+from m100link.apps.fleet import revocations
 from m100link.apps.fleet.client import Fleet, FleetAircraft
 from m100link.apps.fleet.identity import LARGEST, BadRevoked, Revoked, Rights, nobody, sign_revoked
 from m100link.apps.fleet.keys import Keys
 from m100link.apps.fleet.lost_link import LostLinkPlan
-from m100link.apps.fleet.payloads import Outcome
+from m100link.apps.fleet.payloads import VERSION, OrderReply, Outcome, unpack
 from m100link.apps.fleet.pki import init, revoke
 from m100link.apps.fleet.revocations import LIST, Revocations, RevocationService, bring
 from m100link.apps.fleet.show.service import ShowService
@@ -448,3 +454,169 @@ async def test_a_look_without_memory_is_not_the_last_one(
     await anyio.sleep(4.0)
     assert not lacking
     assert site.revocations.number == 1
+
+
+# -- values: how often somebody looks, asks and waits ----------------------------------------------
+
+KITE = Keys("field", "kite")
+REPLY = OrderReply.done("", "kite", "boot", None, number=3)
+NO_ROOM = OrderReply.done("", "kite", "boot", UsageError("no room"), number=3)
+
+
+@pytest.mark.parametrize(
+    ("replies", "asked", "seconds", "outcome"),
+    [
+        ([REPLY], 1, 0.0, 3),
+        ([None, REPLY], 2, 0.2, 3),
+        ([None, None, None, REPLY], 4, 1.2, 3),  # after 0, 0.2, 0.4 and 0.6 s
+        ([None, None, None, None], 4, 1.2, OutcomeUnknown),
+        ([NO_ROOM], 1, 0.0, UsageError),
+        ([None, MessageError("another version")], 2, 0.2, MessageError),
+    ],
+)
+async def test_a_list_is_brought_four_times_at_most(
+    replies: list[Any], asked: int, seconds: float, outcome: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bus: Any = MagicMock(
+        tokens=AsyncMock(return_value=["m100-live/field/kite/beef"]),
+        ask=AsyncMock(return_value=[]),
+    )
+    believed = MagicMock(side_effect=replies)
+    monkeypatch.setattr(revocations, "believed", believed)
+    clock = asyncio.get_running_loop().time
+    began = clock()
+    if outcome == 3:
+        assert await bring(bus, KITE, b"list") == 3
+    else:
+        with pytest.raises(outcome):
+            await bring(bus, KITE, b"list")
+    assert clock() - began == pytest.approx(seconds)
+    assert bus.tokens.mock_calls == [call("m100-live/field/kite/*", timeout=1.5)]
+    told = call("m100/field/kite/revoked", bytes([VERSION]) + b"list", timeout=1.5)
+    assert bus.ask.mock_calls == [told] * asked
+    assert believed.mock_calls[0] == call([], KITE, "", {"beef"})
+
+
+class Served:
+    """The service of one aircraft, its list, and questions to it."""
+
+    def __init__(self) -> None:
+        self.bus, self.cut_off, self.notes = MagicMock(), list[int](), list[tuple[str, str]]()
+        self.list: Any = MagicMock(number=3, on_change=[], keep=AsyncMock(), look=AsyncMock())
+        shut_out = [lambda: self.cut_off.append(1), lambda: self.cut_off.append(2)]
+        self.service = RevocationService(
+            *(self.bus, KITE, "boot", self.list),
+            shut_out=shut_out,
+            note=lambda text, level: self.notes.append((text, level)),
+        )
+        self.answers: list[OrderReply] = []
+        self.dropped = 0
+
+    def ask(self, payload: bytes) -> None:
+        def answer(key: str, data: bytes) -> None:
+            assert key == KITE.revoked
+            self.answers.append(unpack(OrderReply, data))
+
+        def drop() -> None:
+            self.dropped += 1
+
+        self.service._on_question(Question(KITE.revoked, payload, answer, drop))
+
+
+async def test_eight_lists_wait_at_most_and_a_long_one_is_not_read() -> None:
+    one, disk = Served(), asyncio.Event()
+    one.list.keep.side_effect = disk.wait
+    for number in range(9):
+        one.ask(bytes([VERSION, number]))
+    await asyncio.sleep(0.1)
+    assert (one.dropped, len(one.answers)) == (1, 0)
+    disk.set()
+    await asyncio.sleep(0.1)
+    assert one.list.take_in.mock_calls == [call(bytes([number])) for number in range(8)]
+    assert [reply.number for reply in one.answers] == [3] * 8
+    one.ask(bytes([VERSION] * 32_770))
+    assert one.dropped == 2
+    one.ask(bytes([VERSION] * 32_769))
+    await asyncio.sleep(0.1)
+    assert (one.dropped, len(one.answers)) == (2, 9)
+
+
+@pytest.mark.parametrize(
+    ("payload", "error", "kind"),
+    [
+        (bytes([VERSION]), None, None),  # which one is in force is asked
+        (bytes([VERSION + 1]) + b"list", None, "MessageError"),
+        (bytes([VERSION]) + b"list", BadRevoked("an older one"), "UsageError"),
+        (bytes([VERSION]) + b"list", UsageError("no room"), "UsageError"),
+    ],
+)
+async def test_the_answer_to_a_list_says_why_it_is_not_in_force(
+    payload: bytes, error: M100Error | None, kind: str | None
+) -> None:
+    one = Served()
+    one.list.keep.side_effect = error
+    one.ask(payload)
+    await asyncio.sleep(0.1)
+    [reply] = one.answers
+    told = (reply.id, reply.name, reply.boot, reply.number)
+    assert told == ("", "kite", "boot", 3)
+    assert (reply.fault.kind if reply.fault else None) == kind
+    assert one.list.take_in.called is (error is not None)
+
+
+async def test_an_agent_looks_for_a_list_each_second_and_leaves_nothing_behind() -> None:
+    one, disk = Served(), asyncio.Event()
+    one.list.look.side_effect = [False, UsageError("it cannot be read"), True, False]
+    one.list.keep.side_effect = disk.wait
+    running = asyncio.create_task(one.service.run())
+    await asyncio.sleep(3.5)
+    assert one.list.look.await_count == 3
+    assert one.notes == [("revoked.list: it cannot be read", "error")]
+    assert one.bus.serve.mock_calls[0] == call(
+        "m100/field/kite/revoked", one.service._on_question, depth=8
+    )
+    one.list.revoked = Revoked(7, {"anna": "2026-11-22", "bert": "2026-11-23"})
+    [changed] = one.list.on_change
+    changed()
+    assert one.cut_off == [1, 2], "each that may give orders"
+    assert one.notes[1:] == [("list 7 of revoked names is in force: anna, bert", "warning")]
+    one.ask(bytes([VERSION]) + b"list")
+    await asyncio.sleep(0.1)
+    running.cancel()
+    await asyncio.wait([running])
+    await asyncio.sleep(0.1)
+    disk.set()
+    await asyncio.sleep(0.1)
+    assert one.list.on_change == []
+    assert one.answers == [], "what waited is ended with it"
+    one.bus.serve.return_value.close.assert_called_once_with()
+
+
+async def test_a_file_is_read_when_it_was_written_anew_and_kept_for_all_to_read(
+    tmp_path: Path,
+) -> None:
+    path, written = tmp_path / LIST, list[Any]()
+    assert Revocations(MagicMock())._written() is None, "it is kept nowhere"
+
+    async def apart(work: Callable[..., Any], *given: Any) -> Any:
+        written.append(given)
+        return work(*given)
+
+    one = Revocations(MagicMock(), path, apart=apart)
+    assert one._written() is None
+    path.write_bytes(b"first")
+    assert (one._written(), one._written()) == (b"first", None)
+    at = path.stat().st_mtime_ns
+    path.write_bytes(b"again")  # as long, in the same file
+    os.utime(path, ns=(at, at + 1))
+    assert one._written() == b"again"
+    path.write_bytes(b"x" * 40_000)
+    assert one._written() == b"x" * 32_769, "one byte more than a list may have"
+    one.revoked = Revoked(1, {}, b"in force")
+    for _ in range(2):
+        await one.keep()
+    assert written == [(path, b"in force")], "once"
+    assert path.read_bytes() == b"in force"
+    mask = os.umask(0)
+    os.umask(mask)
+    assert path.stat().st_mode & 0o777 == 0o666 & ~mask, "it has no secret"
