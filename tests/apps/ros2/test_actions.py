@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections import OrderedDict
 from types import SimpleNamespace
 from typing import Any, cast
+from unittest.mock import AsyncMock, MagicMock, call
 
 import anyio
 import pytest
 
+from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.messages import Event, EventTopic
 from m100link.apps.agent.transports import memory_channels
@@ -22,7 +25,7 @@ from m100link.apps.ros2.actions import (
     _order,
     _wait,
 )
-from m100link.apps.ros2.graph import EntityKind, NodeName, Qos, data_key
+from m100link.apps.ros2.graph import EntityKind, Names, NodeName, Qos, Seen, data_key
 from m100link.errors import UsageError
 from m100link.geodesy import LocalFrame
 from m100link.log.cdr import ACTIONS, decode
@@ -452,7 +455,7 @@ class Flown:
         self.actions._agent = SimpleNamespace(now=20.0)
         self.actions._presence = SimpleNamespace(missing=lambda _clients: self.is_missing)
         self.actions._heartbeat = SimpleNamespace(is_missing=lambda _now: self.is_silent)
-        self.actions._goals, self.actions._current = {ID: self.goal}, self.goal
+        self.actions._goals, self.actions._current = OrderedDict({ID: self.goal}), self.goal
         self.actions._feedback_at = 20.0
 
 
@@ -563,3 +566,86 @@ async def test_the_end_of_a_flight_hovers_under_its_own_lease_alone(
     assert hovered == hovers
     await flight.run()  # neither a leg nor a wait
     assert asked == []
+
+
+def test_each_action_has_three_services_and_two_topics() -> None:
+    """A state is there for who comes late; a cancel ends something and waits behind nothing."""
+    ends, agent = MagicMock(), MagicMock(now=20.0, on_event=[])
+    actions = Actions(agent, MagicMock(), ends, NAMES, *NOBODY)
+    assert agent.on_event == [actions._hear]
+    for name, (kind, _, _) in FLIGHTS.items():
+        inner = f"/m100/{name[2:]}/_action"
+        published = {one.args[0]: one.args[1:] for one in ends.publish.mock_calls}
+        assert published[f"{inner}/feedback"] == (f"{kind}_FeedbackMessage", Qos())
+        latched = Qos(is_latched=True, depth=1)
+        assert published[f"{inner}/status"] == ("action_msgs/GoalStatusArray", latched)
+        served = {one.args[0]: (one.args[1], one.kwargs) for one in ends.serve.mock_calls}
+        assert served[f"{inner}/send_goal"] == (f"{kind}_SendGoal", {})
+        assert served[f"{inner}/get_result"] == (f"{kind}_GetResult", {"at_once": 32})
+        cancel = ("action_msgs/srv/CancelGoal", {"ends": orders.Halt})
+        assert served[f"{inner}/cancel_goal"] == cancel
+
+
+NAMES = Names.of("/", "m100")
+NOBODY: Any = [MagicMock() for _ in range(3)]
+
+
+def test_a_goal_that_begins_is_watched_and_the_newest_goals_are_remembered() -> None:
+    one, notes = Flown(), list[tuple[str, ...]]()
+    one.actions._agent = MagicMock(note=lambda *told: notes.append(told))
+    one.actions._control = control = SimpleNamespace(goal="")
+    one.actions._heartbeat, one.actions._fly = heartbeat, fly = MagicMock(), MagicMock()
+    clients = {
+        "token 1": Seen(("5e55", "0"), "/program5", EntityKind.CLIENT, "topic"),
+        "token 2": Seen(("f00d", "3"), "/program6", EntityKind.CLIENT, "topic"),
+    }
+    one.actions._begin(_Goal(ID, one.action, {}, one.flight, clients))
+    assert control.goal == "~/fly_to"
+    assert heartbeat.follow.mock_calls == [call(frozenset({"5e55", "f00d"}))]
+    one.actions._agent.background.spawn.assert_called_once_with(fly.return_value, "~/fly_to")
+    for number in range(40):
+        one.actions._begin(_Goal(bytes([number] * 16), one.action, {}, one.flight, {}))
+    assert list(one.actions._goals) == [bytes([number] * 16) for number in range(8, 40)]
+    unwatched = ("~/fly_to: its node is unknown, and not watched", "warning")
+    assert notes[:2] == [("~/fly_to for /program5, /program6",), unwatched]
+
+
+@pytest.mark.parametrize(("count", "is_one"), [(0, False), (1, True), (500, True), (501, False)])
+def test_a_mission_has_500_places_at_most(count: int, is_one: bool) -> None:
+    goal = {"waypoints": [PLACE | {"wait": 2.5}] * count, "speed": 3.5}
+    make = FLIGHTS["~/fly_mission"][1]
+    if not is_one:
+        with pytest.raises(UsageError):
+            make(MagicMock(), MagicMock(), goal)
+        return
+    flight: Any = make(MagicMock(), MagicMock(), goal)
+    assert len(flight._legs) == count
+    flight._place, flight._agent.state.guided = 7, SimpleNamespace(distance_m=12.5, seconds=3.25)
+    assert flight.feedback() == {"waypoint": 7, "distance": 12.5, "seconds": 3.25}
+
+
+@pytest.mark.parametrize(
+    ("wanted", "here", "climbs"),
+    [
+        (0.0, 1.2, False),  # no height was asked for
+        (1.4, 1.2, False),
+        (1.5, 1.2, True),
+        (0.9, 1.2, True),
+        (1.0, 1.2, False),
+        (6.0, 1.2, True),
+    ],
+)
+async def test_a_climb_of_less_than_thirty_centimetres_is_not_asked_for(
+    wanted: float, here: float, climbs: bool
+) -> None:
+    agent: Any = MagicMock(ask=AsyncMock(), asked_at=4.0)
+    agent.view.get.return_value = SimpleNamespace(
+        height_m=here - math.copysign(1e-9, wanted - here)
+    )
+    flight = FLIGHTS["~/take_off"][1](agent, MagicMock(), {"height": wanted})
+    await flight.run()
+    under = {"lease": cast(Any, flight)._lease, "asked_at": 4.0}
+    asked = [call(orders.TakeOff(), **under), call(orders.ChangeHeight(wanted), **under)]
+    assert agent.ask.mock_calls == asked[: 1 + climbs]
+    agent.view.get.return_value = None
+    assert math.isnan(flight.feedback()["height"])
