@@ -139,13 +139,22 @@ class World:
         self.shown: Counter[str] = Counter()
         self.lies: list[str] = []
         self.what = "take-off"
-        self.moves, self.moved_at, self.deaf_at = 0, -math.inf, -math.inf
+        self.moves, self.moved_at = 0, -math.inf
+        self.deaf_at, self.disturbed_at = -math.inf, -math.inf
         self.view, self.view_at = View(), -math.inf
         self.is_holding = False
         self.names: dict[int, str] = {}  # of presses
         self.waiting: dict[str, float] = {}  # presses without an answer, and since when
         self.has_problem: bool | None = None  # None: either is right
         self.goal: tuple[float, float] | None = None  # of the last flight; None after keys
+
+    @property
+    def is_disturbed(self) -> bool:
+        line = self.rig.aircraft.line
+        hops = any(
+            hop.is_stalled or hop.drops or hop.delay_s > hop.usual_s for hop in self.hops.values()
+        )
+        return hops or line.to_host.is_stalled or line.to_aircraft.is_stalled
 
     @property
     def usual_s(self) -> float:
@@ -315,6 +324,8 @@ class World:
         extra = min(MAX_ROUND_TRIP, sum(one.delay_s - one.usual_s for one in self.hops.values()))
         if aircraft.line.to_aircraft.is_stalled:
             self.deaf_at = now
+        if self.is_disturbed:
+            self.disturbed_at = now
         if now - self.deaf_at <= MOVEMENT_TIMEOUT_S:  # it flies by what it has: nobody can know
             extra += MOVEMENT_TIMEOUT_S
         so = So(
@@ -327,6 +338,7 @@ class World:
             is_driven=is_onboard and is_ours and now - self.moved_at <= MOVEMENT_TIMEOUT_S,
             moves=motion.velocity_north >= FOLLOWED * SPEED_M_S - NOISE_M_S,
             is_guided=flying is not None and flying.guiding.current() is not None,
+            is_calm=now - self.disturbed_at > 1.0,
             far_m=0.0 if self.goal is None else math.dist(self.goal, self._at),
             allowed_s=PATIENCE_S + self.usual_s + BEAT_S + LOOK_S + extra,
         )
@@ -345,6 +357,7 @@ class World:
             "it moves so": so.pad == Fate.FLOWN and not so.moves,
             "it is sent that": is_ours and not so.goes_out,
             "it is not flown": so.pad in NOT_FLOWN and so.is_driven and so.moves,
+            "nobody has answered": so.pad in (Fate.SENT, Fate.OLD) and so.is_calm,
             "something is held": so.pad not in ("", Fate.LET_GO) and not self.is_holding,
             "as its words": so.pad != "" and self.page.shown["did"] != f"fate_{so.pad}",
             "you have control": so.is_view_new and cause is Cause.YOURS and not so.is_ours,
@@ -392,6 +405,7 @@ class So(NamedTuple):
     is_driven: bool  # it got that lately, and obeys
     moves: bool  # to the north, as is held
     is_guided: bool  # the agent flies it to a point
+    is_calm: bool  # no hop was slow, or lost anything, for a second
     far_m: float  # from that point; 0 for none
     allowed_s: float
 
