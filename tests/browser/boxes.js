@@ -44,9 +44,9 @@
       found.push(`${name(one)} is covered by ${name(at(b.left + b.width / 2, b.top + b.height / 2) || document.body)}`);
   }
 
-  // What stands over the map stands beside, not over, each other; parts of one card are one.
+  // What stands over the map stands beside, not over, each other: the licence of its tiles, too. Parts of one card are one.
   const over = [...document.querySelectorAll(
-    "#header, #dock, .place.tools, .place.hud > *, .place.prepared > *, .place .stick, .legend, .map-tools, .map-home, section[data-view=plan]"
+    "#header, #dock, .place.tools, .place.hud > *, .place.prepared > *, .place .stick, .legend, .map-tools, .map-home, section[data-view=plan], .map-source, .leaflet-control-scale"
   )].filter((one) => isSeen(one) && one.getBoundingClientRect().width);
   const clipped = (one) => {
     const place = one.closest(".place"), b = one.getBoundingClientRect();

@@ -49,7 +49,7 @@ MAP_SHARE = """() => {
   return 100 * map / all;
 }"""
 
-TOP = ("#banner", *(f"#values [data-field={name}]" for name in ("battery", "gps", "height")))
+TOP = ("#banner", *(f"#values [data-field={name}]" for name in ("battery", "gps", "height", "climb")))
 TOP += ("#values [data-field=speed]", "#values [data-field=age]", "[data-act=stop]", "#strip")
 """What stands in every view."""
 

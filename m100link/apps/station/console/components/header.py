@@ -43,6 +43,7 @@ _VALUES = {
     "battery": "battery_std",
     "gps": "satellite_alt",
     "height": "height",
+    "climb": "swap_vert",
     "speed": "speed",
     "flight_time": "timer",
 }

@@ -80,7 +80,7 @@ export class FlightMap {
   showScale() {
     this.scale?.remove();
     const isImperial = units.length[1] === "ft";
-    this.scale = window.L.control.scale({imperial: isImperial, metric: !isImperial}).addTo(this.leaflet);
+    this.scale = window.L.control.scale({maxWidth: 80, imperial: isImperial, metric: !isImperial}).addTo(this.leaflet);
   }
 
   choose(button) {
