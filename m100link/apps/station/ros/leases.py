@@ -17,7 +17,7 @@ from m100link.apps.agent import orders
 from m100link.apps.agent.background import TokenBucket
 from m100link.apps.agent.client import AgentClient, given
 from m100link.apps.agent.control_session import ControlSession, ControlState, Terms
-from m100link.apps.agent.lease import LeaseRefused, not_in_force
+from m100link.apps.agent.lease import LEASE_LIFETIME, LeaseRefused, not_in_force
 from m100link.apps.station.ros.graph import Graph, GraphListener, ServiceCall
 from m100link.apps.station.ros.messages import Message
 from m100link.errors import CommandRefused, M100Error, UsageError
@@ -214,13 +214,19 @@ class Clients:
     async def _answer(self, call: ServiceCall) -> None:
         try:
             response = {"success": True, **await self._act(call)}
-            response["remaining"] = self._agent.state.lease_remaining
+            response["remaining"] = self._remaining(call.request["action"])
         except LeaseRefused as error:
             response = {"success": False, "message": str(error)}
         except M100Error as error:
             call.fail(str(error))
             return
         call.respond(response | {"holder": self._agent.holder.name})
+
+    def _remaining(self, action: str) -> float:
+        """Seconds: the state that tells it comes after the answer to what changed it."""
+        if action in ("acquire", "renew", "confirm"):
+            return LEASE_LIFETIME
+        return self._agent.state.lease_remaining if self._agent.holder.number else 0.0
 
     async def _act(self, call: ServiceCall) -> Message:
         agent, session, token = self._agent, self.session(call.session), call.request["token"]

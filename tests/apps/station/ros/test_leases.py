@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import asyncio
 from random import Random
+from types import SimpleNamespace
 from typing import Any
 
 import anyio
 import pytest
 
+from m100link.apps.agent.background import TaskSet
 from m100link.apps.agent.server.server import AgentServer
 from m100link.apps.agent.transports import memory_channels
 from m100link.apps.station.ros import graph
+from m100link.apps.station.ros.graph import Graph
+from m100link.apps.station.ros.leases import Clients
+from m100link.errors import LinkError
 from tests.apps.agent.conftest import pattern_of
 from tests.apps.station.conftest import FakeClient, Rig
 
@@ -343,3 +348,95 @@ async def test_a_cancel_without_a_goal_is_answered(rig: Rig) -> None:
     action = "/dji_sdk/local_position_navigation_action"
     client.send("publish", topic=f"{action}/cancel", msg={"id": "none"})
     assert f"{action}: no such goal is active, nothing was cancelled" in client.statuses()
+
+
+async def test_the_service_of_leases_answers_each_action_with_its_values(rig: Rig) -> None:
+    await rig.activated()
+    one, other = rig.client("page"), rig.client("other")
+    free = await ask(one, "status")
+    assert free == {"success": True, "message": "", "holder": "", "token": "", "remaining": 0.0}
+    taken = await ask(one, "acquire", name="Anna")
+    token = taken.pop("token")
+    assert taken.pop("remaining") == 3.0
+    assert taken == {"success": True, "message": "", "holder": "Anna"}
+    lease = rig.agent.leases.holder(rig.agent.now)
+    assert lease is not None
+    assert lease.token == token
+    await anyio.sleep(1.0)
+    assert 1.0 < (await ask(other, "status"))["remaining"] <= 3.0
+    assert (await ask(one, "renew", token=token))["remaining"] == 3.0
+    held = await ask(other, "acquire")
+    assert (held["success"], held["holder"]) == (False, "Anna")
+    assert "Anna has control" in held["message"]
+    wanted = await ask(other, "take_over")
+    assert wanted["message"] == "Anna would lose control; confirm with this token"
+    confirmed = await ask(other, "confirm", token=wanted["token"])
+    assert (confirmed["success"], confirmed["holder"]) == (True, "other")
+    assert not (await ask(one, "release", token=token))["success"]
+    assert holder(rig) == "other"
+    assert confirmed["remaining"] == 3.0
+    released = await ask(one, "release", token=confirmed["token"])  # a token is enough
+    assert (released["success"], released["remaining"], released["holder"]) == (True, 0.0, "")
+    assert holder(rig) == ""
+    unknown = await ask(one, "seize" * 9)
+    said = f"there is no action {('seize' * 9)[:32]!r}"
+    assert unknown["result"] is False
+    assert unknown["values"] == f"{said}: status, acquire, renew, release, take_over, confirm"
+
+
+class Agent(SimpleNamespace):
+    """As much of a front's agent as limits ask for; its clock is the test's."""
+
+    def __init__(self) -> None:
+        self.noted: list[tuple[str, str]] = []
+        super().__init__(now=100.0, background=TaskSet())
+
+    def note(self, text: str, level: str = "info") -> None:
+        self.noted.append((text, level))
+
+
+class Talker:
+    """A client that notes what it is told."""
+
+    def __init__(self, name: str) -> None:
+        self.name, self.data = name, dict[str, Any]()
+        self.told: list[tuple[str, str]] = []
+
+    def status(self, level: str, text: str) -> None:
+        self.told.append((level, text))
+
+
+def test_orders_of_a_client_without_control_are_two_a_second_and_ten_at_once() -> None:
+    agent: Any = Agent()
+    clients, client = Clients(agent, Graph()), Talker("page")
+    one: Any = client
+    control = SimpleNamespace(has_lease=False)
+    clients.session = lambda _: control  # type: ignore[method-assign,assignment,return-value]
+    assert [clients.admits(one) for _ in range(12)] == [True] * 10 + [False] * 2
+    agent.now += 0.5
+    assert [clients.admits(one) for _ in range(2)] == [True, False]
+    assert [text for _, text in client.told] == ["more than 2 orders per second: not done"]
+    control.has_lease = True
+    assert all(clients.admits(one) for _ in range(100)), "a pilot may always give control back"
+
+
+def test_a_client_is_told_once_a_second_and_people_once_in_ten() -> None:
+    """Others' notes count, too: four at once, and one in five seconds."""
+    agent: Any = Agent()
+    clients, client = Clients(agent, Graph()), Talker("loud")
+    loud: Any = client
+    error = LinkError("no line", remedy="plug it in")
+    for _ in range(42):
+        clients.complain(loud, error)
+        agent.now += 0.25
+    assert client.told == [("error", str(error))] * 11
+    said = "loud is refused: no line"
+    assert agent.noted == [(said, "warning"), (f"{said} (41 times so far)", "warning")]
+    agent.noted.clear()
+    agent.now += 20.0
+    for number in range(9):
+        clients.complain(Talker(f"client {number}"), ValueError("what"))  # type: ignore[arg-type]
+        agent.now += 5.0 if number == 7 else 0.0
+    assert agent.noted == [
+        (f"client {number} is refused: what", "warning") for number in (0, 1, 2, 3, 8)
+    ]
