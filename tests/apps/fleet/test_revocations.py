@@ -33,7 +33,7 @@ from m100link.apps.fleet.pki import init, revoke
 from m100link.apps.fleet.revocations import LIST, Revocations, RevocationService, bring
 from m100link.apps.fleet.show.service import ShowService
 from m100link.apps.fleet.signing import signing, verifying
-from m100link.errors import M100Error, NotAllowed, OutcomeUnknown, UsageError
+from m100link.errors import M100Error, NotAllowed, OutcomeUnknown, Unreachable, UsageError
 from m100link.protocol.setpoint import Setpoint
 from tests.apps.fleet.conftest import SITE, OnBoard, Rig
 from tests.apps.fleet.test_signing import ANNA, BERT
@@ -620,3 +620,27 @@ async def test_a_file_is_read_when_it_was_written_anew_and_kept_for_all_to_read(
     mask = os.umask(0)
     os.umask(mask)
     assert path.stat().st_mode & 0o777 == 0o666 & ~mask, "it has no secret"
+
+
+def test_a_newer_list_alone_comes_into_force_and_once(tmp_path: Path) -> None:
+    authority, path = Authority(tmp_path / "ca"), tmp_path / LIST
+    first, second = (revoke(authority.folder, [name], now=NOW).data for name in ("eve", "laptop-7"))
+    one, told = Revocations(authority.certificate, path, RIGHTS), list[int]()
+    one.on_change.append(lambda: told.append(one.number))
+    assert (one.read(), one.number) == (False, 0)
+    path.write_bytes(second)
+    assert (one.read(), one.read(), one.take_in(second), one.number) == (True, False, False, 2)
+    beside = sign_revoked(2, {"bert": "2026-11-22"}, authority.key)
+    for older in (first, beside):
+        with pytest.raises(BadRevoked, match="list 2 is in force"):
+            one.take_in(older)
+    assert told == [2]
+    since = [one.since(name) for name in ("anna", "laptop-7", "eve", "bert")]
+    assert since == ["2026-11-22", "2026-11-22", "2026-11-22", ""], "by certificate, too"
+
+
+async def test_a_list_is_brought_to_nobody_where_no_agent_is_present() -> None:
+    bus: Any = MagicMock(tokens=AsyncMock(return_value=[]), ask=AsyncMock(return_value=[]))
+    with pytest.raises(Unreachable, match="no agent named kite"):
+        await bring(bus, KITE, b"list")
+    assert not bus.ask.called
