@@ -3,13 +3,21 @@
 from __future__ import annotations
 
 import asyncio
+import json
+import math
+from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
 from m100link.errors import UsageError
+from m100link.link import Direction
 from m100link.log import read
-from m100link.log.player import RUN_UP_S, PlaybackTarget, Player, begin_of
+from m100link.log.damage import Damage
+from m100link.log.player import RUN_UP_S, Begin, PlaybackTarget, Player, begin_of
+from m100link.log.reading import Chunk, Message
 from m100link.wire import Frame, FrameDecoder
 from tests.log.flight import fly
 
@@ -80,7 +88,7 @@ async def test_each_speed_takes_its_time_and_the_clock_does_not_jump(player: Pla
     heard = Heard(player)
     player.play(heard.stage())
     at = player.time()
-    for speed in (2.0, 0.1, 50.0, 1.0):
+    for speed in (2.0, 0.1, 50.0, 100.0, 1.0):
         player.set_speed(speed)
         assert player.time() == pytest.approx(at)
         await asyncio.sleep(0.1)
@@ -197,3 +205,136 @@ async def test_a_listener_that_raises_does_not_end_it(player: Player) -> None:
     count = len(heard.frames)
     await asyncio.sleep(1.0)
     assert len(heard.frames) == count
+
+
+# -- values: which moment comes when, and why it ends ----------------------------------------------
+
+RX, TX = Direction.RECEIVED, Direction.SENT
+UTC = 1_795_420_800.0
+
+
+def event(second: float, text: str) -> Message:
+    told = json.dumps({"text": text}).encode()
+    return Message("/m100/event", 40.0 + second, UTC + second, told)
+
+
+def chunk(second: float, direction: Direction = RX) -> Chunk:
+    return Chunk(direction, 40.0 + second, UTC + second, bytes([round(10 * second)]))
+
+
+class Played:
+    """A recording of ten seconds by hand, and what a stage was given of it and when."""
+
+    def __init__(self, moments: list[Any] | None = None, **changed: Any) -> None:
+        self.asked: list[float] = []
+        self.told: list[tuple[float, Any]] = []
+        self.taps: list[tuple[Direction, float]] = []
+        self.ends: list[tuple[str, str]] = []
+        self.forgotten = 0
+        self.has_consumers, self.room = True, math.inf
+        self.moments = moments or [
+            *(event(0.5, "early"), chunk(1.0), chunk(2.0), event(2.25, "run-up"), chunk(3.0)),
+            Message("/m100/link", 43.5, UTC + 3.5, b"{}"),
+            *(chunk(4.5, TX), chunk(5.0), event(6.0, "later"), chunk(9.0)),
+        ]
+        self.clock = asyncio.get_running_loop().time
+        self.begin = Begin(
+            *(40.0, UTC, 10.0, changed.pop("damage", Damage()), None, None),
+            events=tuple(one for one in self.moments if isinstance(one, Message)),
+        )
+        flight: Any = SimpleNamespace(path=Path("logs/flight.mcap"), moments=self._moments)
+        self.player = Player(flight, self.begin, **changed)
+        self.began = self.clock()
+        self.player.play(
+            PlaybackTarget(
+                decode=lambda data, _: [data],  # type: ignore[list-item]  # it stands for a frame
+                deliver=lambda one, at: self._tell(("frame", one[0], at)),  # type: ignore[index]
+                tell=lambda content: self._tell(content.get("text")),
+                forget=self._forget,
+                end=lambda error: self.ends.append((error.seen, error.cause)),
+                has_consumers=lambda: self.has_consumers,
+                room=lambda: self.room,
+                tap=lambda way, _, at: self.taps.append((way, at - self.began)),
+            )
+        )
+
+    def _moments(self, since_utc: float) -> Iterator[Any]:
+        self.asked.append(since_utc - UTC)
+        for one in self.moments:
+            if isinstance(one, OSError):
+                raise one
+            yield one
+
+    def _forget(self) -> None:
+        self.forgotten += 1
+        assert self.told == []
+
+    def _tell(self, what: Any) -> None:
+        now = self.clock() - self.began
+        self.told.append((round(now, 3), what))
+
+    @property
+    def order(self) -> list[Any]:
+        return [one[1] if isinstance(one, tuple) else one for _, one in self.told]
+
+
+async def test_what_was_before_and_the_run_up_come_at_once_and_the_rest_in_its_time() -> None:
+    """From the fourth second at double speed: the run-up begins at 1.5 s."""
+    one = Played(speed=2.0, from_s=4.0, to_s=8.0)
+    await asyncio.sleep(0.01)
+    assert (one.asked, one.forgotten) == ([0.5], 1), "a second before the run-up, by the calendar"
+    assert one.order == ["early", 20, "run-up", 30]
+    await asyncio.sleep(5.0)
+    times = {str(what[1] if isinstance(what, tuple) else what): now for now, what in one.told}
+    assert times["30"] < 0.01
+    assert (times["50"], times["later"]) == pytest.approx((0.5, 1.0), abs=0.002)
+    assert one.order == ["early", 20, "run-up", 30, 50, "later"], "nothing from behind its end"
+    frames = [what for _, what in one.told if isinstance(what, tuple)]
+    shifted = [at - one.began for *_, at in frames]
+    assert shifted == pytest.approx([-2.0, -1.0, 1.0]), "as old as it was then"
+    assert one.taps == [(RX, -2.0), (RX, -1.0), (TX, 0.5), (RX, 1.0)]
+    seen = "the recording flight.mcap has ended, after 8.0 s"
+    assert one.ends == [(seen, "it was played to where its end was asked for")]
+
+
+@pytest.mark.parametrize(
+    ("changed", "cause"),
+    [
+        ({}, "everything was played"),
+        ({"damage": Damage(is_ended=False)}, "the file is not whole: "),
+        ({"damage": Damage(missing={"": 1})}, "the file is not whole: "),
+        ({"to_s": 99.0}, "everything was played"),
+        ({"to_s": 9.5}, "it was played to where its end was asked for"),
+        ({"moments": [chunk(1.0), OSError(5, "bad disk")]}, "it cannot be read any further: bad"),
+    ],
+)
+async def test_why_it_ends(changed: dict[str, Any], cause: str) -> None:
+    one = Played(speed=math.inf, **changed)
+    await asyncio.sleep(0.5)
+    [(seen, why)] = one.ends
+    assert why.startswith(cause)
+    assert (one.player.is_at_end, len(one.ends)) == (True, 1)
+    broken = "moments" in changed
+    assert seen.endswith(f"{1.0 if broken else one.player._to:.1f} s")
+
+
+@pytest.mark.parametrize(("comes_after", "begins_after"), [(0.0, 0.0), (0.5, 0.5), (9.0, 1.0)])
+async def test_as_fast_as_it_is_taken_waits_a_second_for_its_taker(
+    comes_after: float, begins_after: float
+) -> None:
+    one = Played(speed=math.inf)
+    one.has_consumers = comes_after == 0.0
+    asyncio.get_running_loop().call_later(comes_after, setattr, one, "has_consumers", True)
+    await asyncio.sleep(2.0)
+    assert one.told[0][0] == pytest.approx(begins_after, abs=0.02)
+
+
+async def test_as_fast_as_it_is_taken_overtakes_no_taker() -> None:
+    one = Played(speed=math.inf)
+    one.room = 0.0
+    await asyncio.sleep(2.0)
+    assert one.order == ["early"], "telemetry waits, events before it do not"
+    one.room = 1.0
+    await asyncio.sleep(0.1)
+    assert one.order == ["early", 10, 20, "run-up", 30, 50, "later", 90]
+    assert one.ends
