@@ -248,7 +248,7 @@ class Played:
         self.player.play(
             PlaybackTarget(
                 decode=lambda data, _: [data],  # type: ignore[list-item]  # it stands for a frame
-                deliver=lambda one, at: self._tell(("frame", one[0], at)),  # type: ignore[index]
+                deliver=lambda one, at: self._tell(("frame", one[0], at)),
                 tell=lambda content: self._tell(content.get("text")),
                 forget=self._forget,
                 end=lambda error: self.ends.append((error.seen, error.cause)),
