@@ -9,6 +9,7 @@ import itertools
 import math
 import random
 from collections import Counter
+from dataclasses import replace
 from typing import Any
 
 import anyio
@@ -25,7 +26,6 @@ from m100link.apps.mavlink.translator.codec import (
 )
 from m100link.apps.mavlink.translator.numbers import MavCommand, MavResult, Severity
 from m100link.apps.mavlink.translator.telemetry import (
-    MOST_HZ,
     STREAMS,
     Rates,
     Texts,
@@ -272,6 +272,24 @@ def test_a_sensor_that_tells_nothing_is_not_there(gone: type[Any], bit: int) -> 
 
 
 @pytest.mark.parametrize(
+    ("late", "bit"), [(AngularVelocity, 1), (Magnetometer, 4), (Position, 0x20)]
+)
+def test_a_sensor_that_fell_silent_is_there_and_not_healthy(late: type[Any], bit: int) -> None:
+    known = Known()
+    known.ages[late] = 60.0
+    found = told("SYS_STATUS", known, None)
+    assert found["onboard_control_sensors_present"] & bit
+    assert not found["onboard_control_sensors_health"] & bit
+
+
+@pytest.mark.parametrize(("damaged", "told_of"), [(0, 0), (65_535, 65_535), (70_000, 65_535)])
+def test_damaged_frames_are_counted_up_to_sixteen_bits(damaged: int, told_of: int) -> None:
+    known = Known()
+    known.state = replace(known.state, discards=damaged)
+    assert told("SYS_STATUS", known)["errors_comm"] == told_of
+
+
+@pytest.mark.parametrize(
     ("values", "may_arm"),
     [
         ((), True),
@@ -407,7 +425,7 @@ def test_what_one_asks_for_changes_nothing_for_another() -> None:
         one.set_hz(name, 1000.0, FIRST)
     one.set_hz("SYS_STATUS", 0.0, FIRST)
     found = counted(one, FIRST, SECOND, begin=10.0)
-    assert found["SYSTEM_TIME", PEER_HERE[1]] == pytest.approx(10 * MOST_HZ, abs=1)
+    assert found["SYSTEM_TIME", PEER_HERE[1]] == pytest.approx(10 * 50, abs=1), "50 Hz at most"
     assert found["SYS_STATUS", PEER_HERE[1]] == 0
     there = {pair: count for pair, count in found.items() if pair[1] == THERE[1]}
     assert there == {pair: count for pair, count in usual.items() if pair[1] == THERE[1]}
