@@ -637,5 +637,159 @@ def test_code_3_means_in_progress_since_2_3(firmware: str, twice: bool) -> None:
     assert asks.fget(meeting) is twice
 
 
+def meeting(**parts: Any) -> tuple[Any, list[tuple[Any, ...]]]:
+    """A first contact with these parts, and what it sees."""
+    seen: list[tuple[Any, ...]] = []
+    one: Any = SimpleNamespace(
+        contact=SimpleNamespace(is_given_back=None, get=lambda _: None),
+        **{"_see": lambda *found: seen.append(found), "_witness": _Witness(), **parts},
+    )
+    return one, seen
+
+
+@pytest.mark.parametrize(
+    ("answers_s", "found", "seen"),
+    [
+        ([0.1] * 20, "within 0.1 s", "100 ms in the median, 100 ms at most"),
+        ([0.02] * 19 + [0.4], "within 0.1 s", "20 ms in the median, 400 ms at most"),
+        ([0.25] * 15 + [None] * 5, "0.2 s", "250 ms in the median, 250 ms at most; 5 of 20 not at"),
+        ([None] * 20, "", "none of 20 version queries was answered"),
+    ],
+)
+async def test_answers_have_their_median_and_their_longest_in_milliseconds(
+    answers_s: list[float | None], found: str, seen: str
+) -> None:
+    now, answers = 10.0, iter(answers_s)
+
+    async def version() -> None:
+        nonlocal now
+        took = next(answers)
+        now += took or 1.0
+        if took is None:
+            raise AckTimeout("no answer")
+
+    one, told = meeting(_clock=lambda: now, _aircraft=SimpleNamespace(version=version))
+    await _Meeting._latency(one)
+    [(topic, what, figures)] = told
+    assert (topic, what) == (Topic.LATENCY, found)
+    assert figures.startswith(seen)
+    assert next(answers, "asked twenty times") == "asked twenty times"
+
+
+@pytest.mark.parametrize(
+    ("known", "crc", "found", "seen"),
+    [
+        (True, True, "of a known firmware", "'M100', read as firmware 3.1"),
+        (False, False, "unknown", "'M100', read as firmware 3.1; its own checksum is another"),
+    ],
+)
+async def test_a_version_of_a_first_contact(known: bool, crc: bool, found: str, seen: str) -> None:
+    async def version() -> Any:
+        return SimpleNamespace(
+            profile=PROFILES["3.1"] if known else None, crc_matches=crc, name="M100"
+        )
+
+    aircraft = SimpleNamespace(version=version, firmware=PROFILES["3.1"])
+    one, told = meeting(_aircraft=aircraft)
+    await _Meeting._version(one)
+    assert told == [(Topic.VERSION, found, seen)]
+    assert one.contact.firmware == "3.1"
+
+
+NO_F, RELEASED, OBTAINED, SAME, GOING = AuthorityCode(0), *map(AuthorityCode, (1, 2, 3, 4))
+
+
+@pytest.mark.parametrize(
+    ("answers", "is_wanted", "codes", "error"),
+    [
+        ([OBTAINED], True, [2], ""),
+        ([SAME, SAME, OBTAINED], True, [3, 3, 2], ""),
+        ([SAME] * 9, True, [3] * 6, ""),  # six requests at most
+        ([NO_F, OBTAINED], True, [0], ""),  # a refusal is not asked again
+        ([RELEASED, OBTAINED], True, [1], ""),
+        ([RELEASED], False, [1], ""),
+        ([GOING, RELEASED], False, [4, 1], ""),
+        ([SAME, AckTimeout("no answer")], True, [3], "no answer"),
+    ],
+)
+async def test_authority_is_asked_for_until_it_is_so_or_refused(
+    answers: list[Any], is_wanted: bool, codes: list[int], error: str
+) -> None:
+    asked: list[bool] = []
+    loop = asyncio.get_running_loop()
+    began = loop.time()
+
+    async def execute(request: Any, *, timeout: float, tries: int, refusal: type) -> Any:
+        assert (timeout, tries, refusal) == (1.0, 2, AuthorityRefused)
+        asked.append(request.obtain)
+        answer = answers[len(asked) - 1]
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+    one, _ = meeting(_aircraft=SimpleNamespace(execute=execute), _is_asking=False)
+    found: list[int] = []
+    assert await _Meeting._requested(one, found, is_wanted=is_wanted) == error
+    assert found == codes
+    assert asked == [is_wanted] * (len(codes) + bool(error))
+    assert one._is_asking is bool(error), "it may have it by now"
+    assert loop.time() - began == pytest.approx(0.1 * (len(asked) - 1), abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("answers", "holder", "pushes", "is_held", "back", "seen"),
+    [
+        (
+            [1],
+            0,
+            2,
+            True,
+            True,
+            [
+                (Topic.RELEASE, "released", "1"),
+                (Topic.OWN_RELEASE, "sent", "2 notifications in 2 s"),
+            ],
+        ),
+        (
+            [3, 3],
+            2,
+            0,
+            True,
+            False,
+            [
+                (Topic.RELEASE, "not released", "3, 3"),
+                (Topic.OWN_RELEASE, "none", "0 notifications in 2 s"),
+            ],
+        ),
+        ([1], 2, 0, False, False, []),  # the aircraft says that a computer has it
+        ([1], None, 0, False, True, []),
+    ],
+)
+async def test_control_is_given_back_when_the_aircraft_says_so(
+    answers: list[int], holder: int | None, pushes: int, is_held: bool, back: bool, seen: list[Any]
+) -> None:
+    said: list[str] = []
+
+    async def requested(codes: list[int], *, is_wanted: bool) -> str:
+        assert is_wanted is False
+        codes += answers
+        one._witness.pushes[b"\x02\x01"] += pushes
+        return ""
+
+    device = None if holder is None else ControlDevice(holder, None)
+    state = SimpleNamespace(fresh=lambda _: device)
+    one, told = meeting(
+        _requested=requested, _aircraft=SimpleNamespace(state=state), _say=said.append
+    )
+    await _Meeting._give_back(one, is_held=is_held)
+    assert one.contact.is_given_back is back
+    assert said == [
+        "control authority is given back"
+        if back
+        else "the aircraft may still have it with this program: put the switch to P"
+    ]
+    assert told == seen
+
+
 def test_each_limit_is_as_agreed() -> None:
     assert limits.differences("apps/doctor") == []
