@@ -1,9 +1,10 @@
 """Numbers of modules (times, sizes, speeds), stated a second time in ``tests/limits.toml``.
 
 Many tests take a limit from the module that they test, and hold whatever it says. So these numbers
-of the rooms below stand in that table, too: those that a module gives a name in capitals, and those
-that a field or an argument has by default, but 0. A change of one is a change of two files, and a
-reader sees it. Behaviour at a limit is a test of its module.
+of the rooms below stand in that table, too: those that a module gives a name in capitals, and what
+a field or an argument has by default, words and switches, too, but nothing that is 0, off or empty.
+A change of one is a change of two files, and a reader sees it. Behaviour at a limit is a test of
+its module.
 
 ``python -m tests.limits`` prints what the table lacks, for a reader to agree with.
 """
@@ -37,7 +38,7 @@ def numbers(module: Path) -> dict[str, object]:
     """Each number that the module names or has by default; rows of numbers as lists."""
     loaded, program = importlib.import_module(name_of(module)), tree(module)
     named = {name: as_list(getattr(loaded, name)) for name in capitals(program)}
-    said = {name: as_list(literal(value)) for name, value in defaults(program)}
+    said = {name: literal(value) for name, value in defaults(program)}
     by_default = {name: value for name, value in said.items() if value}
     return {name: value for name, value in named.items() if value is not None} | by_default
 
@@ -70,7 +71,7 @@ def defaults(program: ast.AST, within: str = "") -> Defaults:
 
 
 def literal(value: ast.expr | None) -> object:
-    """What an expression of numbers alone says; None of any other."""
+    """What an expression of numbers alone says, or a word; None of any other."""
     signs = (ast.Constant, ast.BinOp, ast.UnaryOp, ast.operator, ast.unaryop)
     if value is None or not all(isinstance(part, signs) for part in ast.walk(value)):
         return None
