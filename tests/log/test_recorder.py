@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import asyncio
+import atexit
 import errno
 import itertools
 import json
 import logging
+import math
 import subprocess
 import sys
 import threading
 import time
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from mcap.writer import Writer
@@ -451,3 +455,81 @@ async def test_each_tenth_of_a_second_what_was_noted_goes_to_the_thread(tmp_path
         await asyncio.sleep(0.09)
     await log.aclose()
     assert b"".join(one.data for one in read(log.path).chunks()) == b"bytes" * 3
+
+
+# -- values: how long, how much, and what is counted -----------------------------------------------
+
+
+def test_how_long_and_how_much_a_recorder_waits() -> None:
+    """As docstrings and manual say; other tests read these where the code has them."""
+    found = (recorder.BATCH_S, recorder.FLUSH_S, recorder.FSYNC_S, recorder.ECHO_S)
+    assert found == (0.1, 0.5, 5.0, 30.0)
+    assert (recorder.HANGS_S, recorder.END_TIMEOUT_S) == (3.0, 15.0)
+    assert recorder.MAX_WAITING == 16_000_000
+
+
+@pytest.mark.parametrize(("takes", "seconds"), [(False, 3.0), (True, 15.0)])
+def test_the_end_of_a_log_waits_for_a_disk_that_takes_something(
+    takes: bool, seconds: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = 100.0
+    monkeypatch.setattr(time, "monotonic", lambda: now)
+
+    def join(timeout: float) -> None:
+        nonlocal now
+        now += timeout
+        if takes:
+            record._alive_at = now
+
+    record: Any = object.__new__(Recorder)
+    record._alive_at = now
+    record._thread = SimpleNamespace(is_alive=lambda: True, join=join)
+    record._wait_for_end()
+    assert now - 100.0 == pytest.approx(seconds, abs=0.11)
+
+
+@pytest.mark.parametrize("rate_hz", [-0.1, float("inf"), float("nan")])
+def test_what_is_no_rate_of_telemetry(tmp_path: Path, rate_hz: float) -> None:
+    with pytest.raises(UsageError, match="is not a rate"):
+        Recorder(tmp_path / "x.mcap", rate_hz=rate_hz)
+    assert files_in(tmp_path) == []
+
+
+async def test_bytes_that_the_disk_did_not_take_stand_beside_the_counters(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    record = Recorder(tmp_path / "flight.mcap")
+    told: list[Entry] = [(LINK, {"firmware": "3.1"}), (EVENT, {"event": "note", "value": math.inf})]
+    record._look = lambda: told
+    now = asyncio.get_running_loop().time()
+    with monkeypatch.context() as stands_still:
+        stands_still.setattr(recorder, "MAX_WAITING", 0)
+        record.tap(Direction.RECEIVED, b"seven b", now)
+        record._hand_over()
+    record.tap(Direction.RECEIVED, b"bytes", now)
+    await record.aclose()
+    log = read(record.path)
+    assert [one.content() for one in log.messages(LINK)] == [
+        {"firmware": "3.1", "log_dropped_bytes": 7}
+    ]
+    # JSON has no infinity, and an event counts nothing.
+    assert [one.content() for one in log.messages(EVENT)] == [{"event": "note", "value": None}]
+    assert b"".join(one.data for one in log.chunks()) == b"bytes"
+
+
+async def test_a_log_that_nobody_closed_is_written_as_the_interpreter_ends(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ends: list[Any] = []
+    monkeypatch.setattr(atexit, "register", ends.append)
+    monkeypatch.setattr(atexit, "unregister", ends.remove)
+    closed, left = Recorder(tmp_path / "closed.mcap"), Recorder(tmp_path / "left.mcap")
+    await closed.aclose()
+    assert ends == [left._end]
+    left.tap(Direction.SENT, VERSION, asyncio.get_running_loop().time())
+    left._end()
+    assert left._timer is not None
+    left._timer.cancel()
+    assert [one.data for one in read(left.path).chunks()] == [VERSION]
+    assert recorder.is_being_written(tmp_path / "no such file"), "nobody touches such a file"
+    assert not recorder.is_being_written(left.path)
