@@ -224,6 +224,7 @@ __all__ = [
     "NoAircraft",
     "NoAnswer",
     "NoAuthority",
+    "NoRouter",
     "NoValidFrame",
     "NotActivated",
     "NotAllowed",

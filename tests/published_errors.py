@@ -44,6 +44,7 @@ PUBLISHED = {
     "M100-NO-AIRCRAFT": "NoAircraft",
     "M100-NO-ANSWER": "NoAnswer",
     "M100-NO-AUTHORITY": "NoAuthority",
+    "M100-NO-ROUTER": "NoRouter",
     "M100-NO-SIMULATOR": "NoSimulator",
     "M100-NO-VALID-FRAME": "NoValidFrame",
     "M100-NOT-ACTIVATED": "NotActivated",
@@ -95,7 +96,7 @@ EXIT_STATUS: dict[int, str] = {
     """,
     # nobody answers, or the line is gone
     4: """
-        LineBlocked LinkLost NoAircraft NoAnswer NoValidFrame SilentLine
+        LineBlocked LinkLost NoAircraft NoAnswer NoRouter NoValidFrame SilentLine
     """,
     # activation
     5: """

@@ -9,6 +9,7 @@ All of them derive from :class:`M100Error`, so one ``except`` catches the librar
     │   ├── BadValue               a field of a command outside its documented range
     │   ├── BadSetpoint            a value outside the document's table, NaN or infinity
     │   ├── BadPlan                a waypoint mission that the aircraft would refuse
+    │   ├── NoRouter               no zenoh router answered; nothing was sent
     │   ├── OnlyRecorded           an order to the aircraft of a replay
     │   └── PayloadTooLarge        more than 1007 bytes, or 100 to the mobile device
     ├── OutOfResources             the system has no file, thread or memory for it     (OSError)

@@ -14,6 +14,7 @@ __all__ = [
     "BadSetpoint",
     "BadURL",
     "BadValue",
+    "NoRouter",
     "OnlyRecorded",
     "PayloadTooLarge",
     "UsageError",
@@ -28,6 +29,15 @@ class UsageError(
     remedy="read what was seen: the same call is always refused, and nothing was sent",
 ):
     """The call itself is wrong; nothing was sent."""
+
+
+class NoRouter(
+    UsageError,
+    code="M100-NO-ROUTER",
+    cause="none runs there, a firewall is between, or it wants a certificate: nobody tells which",
+    remedy="start the router, and see that both name the same endpoint",
+):
+    """No zenoh router answered; nothing was sent."""
 
 
 def of_another_loop(name: str = "aircraft.link.loop") -> UsageError:

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from m100link.apps.bus import network
-from m100link.errors import UsageError
+from m100link.errors import NoRouter, UsageError
 from m100link.errors.texts import read_json
 
 if TYPE_CHECKING:
@@ -441,18 +441,15 @@ def _config(opening: Opening) -> zenoh.Config:
     return config
 
 
-_NO_SESSION = {
-    "client": (
-        "no router answered",
-        "none runs there, a firewall is between, or it wants a certificate: nobody tells which",
-    ),
-    "router": ("no router can be here", ""),
+_NO_SESSION: dict[str, tuple[str, type[UsageError]]] = {
+    "client": ("no router answered", NoRouter),
+    "router": ("no router can be here", UsageError),
 }
 
 
 def _refused(error: Exception, mode: str, opening: Opening) -> UsageError:
     # zenoh's text ends with the place in its source.
     seen = str(error).partition(" at /")[0].strip()
-    what, cause = _NO_SESSION.get(mode, ("no session of zenoh", ""))
+    what, kind = _NO_SESSION.get(mode, ("no session of zenoh", UsageError))
     remedy = opening.remedies.get(mode, opening.remedies.get("", ""))
-    return UsageError(f"{what}: {seen}", cause=cause, remedy=remedy)
+    return kind(f"{what}: {seen}", remedy=remedy)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import Awaitable, Callable
 from dataclasses import asdict
 from typing import Annotated
@@ -29,6 +30,7 @@ from m100link.apps.cli.fleet_watch import lease, monitor, watch
 from m100link.apps.cli.options import Above0, group
 from m100link.apps.cli.terminal import print_json
 from m100link.apps.fleet.client import FleetAircraft
+from m100link.apps.fleet.identity import WINDOW_S
 from m100link.apps.fleet.keys import in_order
 from m100link.apps.fleet.payloads import Card
 
@@ -71,9 +73,18 @@ def _table(names: list[str], cards: dict[str, Card]) -> Table:
         height = "" if card.height_m is None else f"{card.height_m:z.1f} m"
         battery = "" if card.battery_percent is None else f"{card.battery_percent} %"
         lost = f"{card.lost} after {card.lost_after:g} s"
-        row = (name, card.connection, card.phase, height, battery, card.task, card.holder, lost)
+        row = (name, _link(card), card.phase, height, battery, card.task, card.holder, lost)
         table.add_row(*row)
     return table
+
+
+def _link(card: Card) -> str:
+    """The state of the link, and a calendar by which a signed order would be refused."""
+    ahead = card.at - time.time()
+    if abs(ahead) <= WINDOW_S:
+        return card.connection
+    side = "ahead of" if ahead > 0 else "behind"
+    return f"{card.connection}; clock {abs(ahead):.0f} s {side} this one"
 
 
 # -- what they are asked --------------------------------------------------------------------------

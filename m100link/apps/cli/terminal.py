@@ -230,6 +230,7 @@ class ExitCode:
 
 # The first class that fits decides, so subclasses stand before their bases.
 _EXIT_CODES: tuple[tuple[type[BaseException], int], ...] = (
+    (errors.NoRouter, ExitCode.NO_LINK),
     (errors.UsageError, ExitCode.USAGE),
     (errors.NoAircraft, ExitCode.NO_LINK),
     (errors.LinkLost, ExitCode.NO_LINK),

@@ -404,10 +404,14 @@ ANSWER_MS = 2000
 """Milliseconds that one router may take to answer before the next one is asked: zenoh's own 10 s
 would be those of an aircraft that hovers because the first of two computers is dead."""
 
-_REMEDIES = {
-    "client": "m100link fleet router --listen tcp/127.0.0.1:7447",
-    "router": "check where it listens, and that the port is free",
-}
+
+def _remedies(connect: tuple[str, ...], options: Mapping[str, str]) -> dict[str, str]:
+    """The remedy where no session can be, by the mode."""
+    place = ", ".join(connect)
+    start = f"m100link fleet router --listen {place}, if none runs there"
+    if place.startswith("tls/") and not any("tls" in name for name in options):
+        start = f"give --identity and --pki (an agent --pki): {place} wants a certificate"
+    return {"client": start, "router": "check where it listens, and that the port is free"}
 
 
 def open_fleet(
@@ -441,8 +445,8 @@ def open_fleet(
         "transport/link/tx/queue/size/data": "8",
     }
     given = ours | dict(options or {})
-    return open_session(
-        Opening(
-            "a fleet", "fleet", given, patience_s=FIRST_S, is_patient=is_patient, remedies=_REMEDIES
-        )
+    remedies = _remedies(connect, given)
+    opening = Opening(
+        "a fleet", "fleet", given, patience_s=FIRST_S, is_patient=is_patient, remedies=remedies
     )
+    return open_session(opening)

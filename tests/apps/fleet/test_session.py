@@ -8,7 +8,7 @@ import anyio
 import pytest
 
 from m100link.apps.fleet.client import open_fleet
-from m100link.errors import UsageError
+from m100link.errors import NoRouter, UsageError
 from tests.apps.bus.pair import free_place, until
 
 pytest.importorskip("zenoh", reason="the extra fleet is not installed")
@@ -26,6 +26,12 @@ async def test_no_router_is_reported_with_a_remedy() -> None:
         async with open_fleet("client", connect=(free_place(),)):
             pass
     assert "fleet router" in caught.value.remedy
+    place = free_place().replace("tcp/", "tls/")
+    with pytest.raises(NoRouter, match="no router answered") as caught:
+        async with open_fleet("client", connect=(place,)):
+            pass
+    assert caught.value.remedy.startswith("give --identity")
+    assert place in caught.value.remedy
 
 
 async def test_a_port_that_is_taken_and_an_option_that_cannot_be() -> None:
