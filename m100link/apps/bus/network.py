@@ -22,6 +22,9 @@ _logger = logging.getLogger(__name__)
 
 T = TypeVar("T")
 
+SETTLED_S = 0.1
+"""Seconds for an answer that contradicts: who is silent must not hold up one that is believed."""
+
 DEPTH = 1024
 """The most messages that wait for one taker; of more than that the oldest is lost."""
 
@@ -48,6 +51,10 @@ class QueryAnswer:
     key: str
     payload: bytes
     session: str = ""  # id of the session that answered, as it says itself; empty when it does not
+    is_proved: bool = False  # whether its signature is that of the owner of the key
+
+
+Settles = Callable[[QueryAnswer], bool]
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,7 +139,17 @@ class Bus(Session, Protocol):
         """
         ...
 
-    async def ask(self, key: str, payload: bytes = b"", *, timeout: float) -> list[QueryAnswer]:
+    async def ask(
+        self,
+        key: str,
+        payload: bytes = b"",
+        *,
+        timeout: float,
+        attachment: bytes = b"",  # sent beside the payload
+        # Called with each answer as it comes; behind one for which it is true, others have
+        # :data:`SETTLED_S` seconds.
+        settles: Settles | None = None,
+    ) -> list[QueryAnswer]:
         """Ask everybody who serves it.
 
         Those who did not answer within ``timeout`` seconds are not waited for. An empty list says

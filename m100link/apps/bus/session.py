@@ -273,7 +273,13 @@ class ZenohBus:
     # -- waited for ------------------------------------------------------------------------------
 
     async def ask(
-        self, key: str, payload: bytes = b"", *, timeout: float
+        self,
+        key: str,
+        payload: bytes = b"",
+        *,
+        timeout: float,
+        attachment: bytes = b"",
+        settles: network.Settles | None = None,
     ) -> list[network.QueryAnswer]:
 
         def get(handler: Any) -> None:
@@ -281,15 +287,20 @@ class ZenohBus:
                 key,
                 handler,
                 payload=payload,
+                attachment=attachment or None,
                 timeout=timeout,
                 target=self._zenoh.QueryTarget.ALL,
                 consolidation=self._zenoh.ConsolidationMode.NONE,
             )
 
-        return [
-            network.QueryAnswer(str(one.key_expr), self._bytes(one.payload), session)
-            for session, one in await self._replies(get, timeout)
-        ]
+        def answer(session: str, one: zenoh.Sample) -> network.QueryAnswer:
+            return network.QueryAnswer(str(one.key_expr), self._bytes(one.payload), session)
+
+        def settled(*reply: Any) -> bool:
+            return settles is not None and settles(answer(*reply))
+
+        found = await self._replies(get, timeout, settled if settles else None)
+        return [answer(*reply) for reply in found]
 
     async def tokens(self, pattern: str, *, timeout: float) -> list[str]:
 
@@ -299,7 +310,10 @@ class ZenohBus:
         return [str(one.key_expr) for _, one in await self._replies(get, timeout)]
 
     async def _replies(
-        self, get: Callable[[Any], None], timeout: float
+        self,
+        get: Callable[[Any], None],
+        timeout: float,
+        settles: Callable[..., bool] | None = None,
     ) -> list[tuple[str, zenoh.Sample]]:
         """The answers with their names, until zenoh says that no more come, or the time is over."""
         found: list[tuple[str, zenoh.Sample]] = []
@@ -309,10 +323,19 @@ class ZenohBus:
             if reply.ok is not None:
                 who = reply.replier_id
                 found.append(("" if who is None else str(who.zid), reply.ok))
+                if settles is not None:
+                    in_loop(look, *found[-1])
+
+        def look(*reply: Any) -> None:
+            if settles is not None and settles(*reply):
+                self._loop.call_later(network.SETTLED_S, ended.set)
 
         def end() -> None:
+            in_loop(ended.set)
+
+        def in_loop(do: Callable[..., object], *what: Any) -> None:
             try:
-                self._loop.call_soon_threadsafe(ended.set)
+                self._loop.call_soon_threadsafe(do, *what)
             except RuntimeError:
                 _logger.debug("the event loop has ended: nobody waits for an answer")
 

@@ -25,6 +25,7 @@ from m100link.apps.fleet.asking import PATIENCE_S, Sign
 from m100link.apps.fleet.client import Fleet, FleetAircraft, connect
 from m100link.apps.fleet.keys import DEFAULT_SITE, check_name, in_order
 from m100link.apps.fleet.payloads import Result
+from m100link.apps.fleet.revocations import Revocations
 from m100link.apps.fleet.signing import read_signer, signing, tls_options
 from m100link.errors import M100Error, OutcomeUnknown, UsageError
 from m100link.errors.texts import read_json
@@ -168,13 +169,14 @@ class FleetOptions:
 
     def open(self) -> AbstractAsyncContextManager[Fleet]:
         """The fleet."""
-        options = {} if self.identity is None else tls_options(self.pki, self.identity)
+        identity, pki = self.identity, self.pki
         return connect(
             *self.connect,
             site=self.site,
             name=self.who,
             sign=self.sign(),
-            options=options,
+            authority=None if identity is None else Revocations.of_folder(pki),
+            options={} if identity is None else tls_options(pki, identity),
             patience=self.patience,
         )
 

@@ -56,7 +56,7 @@ from m100link.apps.fleet.pki import init as make_authority
 from m100link.apps.fleet.pki import issue as make_certificate
 from m100link.apps.fleet.pki import revoke as revoke_names
 from m100link.apps.fleet.revocations import LIST, Revocations, bring
-from m100link.apps.fleet.signing import tls_options, verifying
+from m100link.apps.fleet.signing import Seal, tls_options, verifying
 from m100link.apps.station.config import ONLY_NAME, Settings, resolve
 from m100link.apps.station.fleet import (
     FleetSettings,
@@ -193,7 +193,12 @@ async def agent(
         connect, site, LostLinkPlan(lost, lost_after), kept, log_rate=log_rate * 1e6
     )
     if pki is not None:
-        fleet = replace(fleet, options=tls_options(pki, name))
+        fleet = replace(
+            fleet,
+            options=tls_options(pki, name),
+            seals={called: Seal.read(pki, called) for called in aircraft},
+            authority=Revocations.of_folder(pki),
+        )
     if rights is not None:
         fleet = replace(fleet, **_checking(Rights.read(rights), aircraft, pki))
     return await _serve(aircraft, fleet, options.run)
@@ -203,7 +208,8 @@ def _checking(rights: Rights, names: Iterable[str], pki: Path | None) -> dict[st
     """How agents verify orders, and the names that are revoked."""
     found = None if pki is None else Revocations.of_folder(pki, rights)
     revoked = nobody if found is None else found.since
-    return {"verify": verifying(rights, names, time.time, revoked), "revocations": found}
+    known = {} if found is None else {"revocations": found, "authority": found}
+    return {"verify": verifying(rights, names, time.time, revoked), **known}
 
 
 async def _serve(aircraft: dict[str, Settings], fleet: FleetSettings, run: RunOptions) -> int:

@@ -248,8 +248,8 @@ class Asker:
         return its and its - max(0.0, now - at)
 
     def is_of_aircraft(self, answer: QueryAnswer) -> bool:
-        """Whether it comes from a session that shows the aircraft's token."""
-        return answer.session in self._sessions
+        """Whether it is proved, or comes from a session that shows the aircraft's token."""
+        return answer.is_proved or answer.session in self._sessions
 
     def around(
         self,
@@ -449,9 +449,9 @@ class Questions:
 
 
 # -- decide which answer to an order to believe ----------------------------------------------------
-# Any program on the network may answer for an aircraft. An answer is believed if it comes from the
-# only session that shows the aircraft's token, and if no other answer of that session contradicts
-# it.
+# Any program on the network may answer for an aircraft. An answer is believed if the aircraft has
+# signed it. Where nobody verifies signatures, it is believed if it comes from the only session that
+# shows the aircraft's token. Answers that contradict each other are not believed.
 
 
 def clocks_of(answers: Iterable[QueryAnswer], name: str) -> list[float]:
@@ -482,9 +482,11 @@ def believed(
     """
     replies: list[OrderReply] = []
     unread: MessageError | None = None
+    is_proved = False  # then a token says nothing
     for one in answers:
-        if one.session not in sessions:
+        if not one.is_proved and one.session not in sessions:
             continue
+        is_proved = is_proved or one.is_proved
         try:
             reply: OrderReply = unpack(OrderReply, one.payload)
         except MessageError as error:
@@ -492,7 +494,8 @@ def believed(
             continue
         if reply.id in (identity, "") and reply.name == keys.name:
             replies.append(reply)
-    if replies and (len(sessions) > 1 or len({one.boot for one in replies}) > 1):
+    is_double = len(sessions) > 1 and not is_proved
+    if replies and (is_double or len({one.boot for one in replies}) > 1):
         raise errors.OutcomeUnknown(
             f"two agents are named {keys.name}: it is unknown which of them answered",
             cause="two agents were given one name, or a stranger poses as the aircraft",

@@ -7,7 +7,7 @@ import json
 import time
 from collections import deque
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Mapping
-from contextlib import AbstractAsyncContextManager, asynccontextmanager
+from contextlib import asynccontextmanager, closing
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -16,7 +16,7 @@ from typing import Any, Literal, Self
 from m100link.apps.agent.messages import MessageError, fault_of
 from m100link.apps.agent.orders import AskVersion, Land, Stop
 from m100link.apps.bus.network import Bus, Held
-from m100link.apps.bus.session import LARGEST, Opening, ZenohBus, open_session
+from m100link.apps.bus.session import LARGEST, Opening, open_session
 from m100link.apps.fleet.asking import PATIENCE_S, Asker, Sign, nobody_there, unsigned
 from m100link.apps.fleet.carrier import FleetChannel, reach
 from m100link.apps.fleet.control import FleetControl
@@ -27,12 +27,15 @@ from m100link.apps.fleet.logs.words import LogEntry
 from m100link.apps.fleet.missions.flight import mission_card
 from m100link.apps.fleet.payloads import Card, MissionCard, Result, unpack
 from m100link.apps.fleet.publisher import WALL_WITHIN_S
+from m100link.apps.fleet.revocations import Revocations
+from m100link.apps.fleet.signing import Seal, SealedBus
 from m100link.errors import GuardRefused, M100Error, OutcomeUnknown
 
 _ANSWER_S = 1.5
 _LANDINGS_ASKED = 3
 """Once to hear what time it is there, once to be lost on the way."""
 
+_CARDS_ASKED = 3
 _MOST_CHANGES = 4096
 _MOST_DOUBTFUL = 8
 
@@ -167,11 +170,15 @@ class FleetAircraft:
         Raises:
             Unreachable, OutcomeUnknown: Its agent is absent, or gives no answer.
         """
-        found = await cards(self.bus, self.keys)
-        if self.name not in found:
-            await self.asker.ask(AskVersion())  # which says why
+        for _ in range(_CARDS_ASKED):
             found = await cards(self.bus, self.keys)
-        return found[self.name]
+            if self.name in found:
+                return found[self.name]
+            await self.asker.ask(AskVersion())  # which says why
+        raise OutcomeUnknown(
+            f"{self.name} answers, but does not say where it stands",
+            cause="the link loses its answers, or the router lets none of them pass",
+        )
 
 
 async def cards(bus: Bus, keys: Keys) -> dict[str, Card]:
@@ -365,6 +372,7 @@ async def connect(
     site: str = DEFAULT_SITE,
     name: str = "operator",
     sign: Sign | None = None,
+    authority: Revocations | None = None,
     options: dict[str, str] | None = None,
     patience: float = PATIENCE_S,
 ) -> AsyncIterator[Fleet]:
@@ -375,6 +383,8 @@ async def connect(
         site: Name of the site.
         name: Name of the operator, shown to other people.
         sign: Signs orders; see :func:`m100link.apps.fleet.signing.signing`.
+        authority: Believe only what an aircraft has signed by a certificate of this authority:
+            ``Revocations.of_folder(pki)``. Without it, whoever shows its token is believed.
         options: More options of zenoh, by name, as JSON: certificates, for example.
         patience: Seconds without any answer after which an outcome is unknown.
 
@@ -383,7 +393,7 @@ async def connect(
             within 2 s.
     """
     async with (
-        open_fleet("client", connect=endpoints, options=options) as bus,
+        open_fleet("client", connect=endpoints, options=options, authority=authority) as bus,
         Fleet(bus, site=site, name=name, sign=sign, patience=patience) as fleet,
     ):
         yield fleet
@@ -414,14 +424,17 @@ def _remedies(connect: tuple[str, ...], options: Mapping[str, str]) -> dict[str,
     return {"client": start, "router": "check where it listens, and that the port is free"}
 
 
-def open_fleet(
+@asynccontextmanager
+async def open_fleet(
     mode: Literal["client", "router"],
     *,
     connect: tuple[str, ...] = (),  # such as ``tcp/127.0.0.1:7447``: of a router, other routers
     listen: tuple[str, ...] = (),
     options: Mapping[str, str] | None = None,  # more of zenoh's, by name, as JSON
     is_patient: bool = False,  # wait for the first router as long as it takes
-) -> AbstractAsyncContextManager[ZenohBus]:
+    seals: Mapping[str, Seal] | None = None,  # of its own aircraft, by name
+    authority: Revocations | None = None,  # whose certificates are believed
+) -> AsyncIterator[SealedBus]:
     """A session while the block runs; a router that is lost meanwhile is found again.
 
     There is no discovery by multicast or gossip: only named endpoints are met. Raises UsageError:
@@ -449,4 +462,6 @@ def open_fleet(
     opening = Opening(
         "a fleet", "fleet", given, patience_s=FIRST_S, is_patient=is_patient, remedies=remedies
     )
-    return open_session(opening)
+    async with open_session(opening) as bus:
+        with closing(SealedBus(bus, seals, authority)) as sealed:
+            yield sealed

@@ -403,7 +403,10 @@ def _of_agent(rights: Rights, name: str) -> Iterator[dict[str, Any]]:
     yield _rule("egress", ["declare_subscriber"], everybodys)
     yield _rule("ingress", ["declare_subscriber"], everybodys)
     yield _rule("egress", ["put"], everybodys)
-    # It looks whether another one has its name.
+    # It looks whether another one has its name, and asks what that says now.
+    own = _keys(rights, [name], _CARDS)
+    yield _rule("ingress", ["query"], own)
+    yield _rule("egress", ["declare_queryable", "reply"], own)
     messages = ["liveliness_token", "liveliness_query", "declare_liveliness_subscriber"]
     yield _rule("ingress", messages, live)
     yield _rule("egress", ["liveliness_token"], live)

@@ -53,7 +53,7 @@ class Revocations:
         apart: Callable[..., Awaitable[Any]] = asyncio.to_thread,
     ) -> None:
         self._apart = apart
-        self._authority = authority
+        self.authority = authority
         self._path = path
         self._rights = rights
         self._seen: object = None
@@ -110,7 +110,7 @@ class Revocations:
         """
         if data == self.revoked.data:
             return False
-        found, now = Revoked.verified(data, self._authority), self.number
+        found, now = Revoked.verified(data, self.authority), self.number
         if found.number <= now:
             raise BadRevoked(
                 f"list {found.number} of revoked names came, and list {now} is in force",

@@ -27,6 +27,7 @@ from m100link.apps.fleet.order_log import FileOrderLog, MemoryOrderLog, OrderLog
 from m100link.apps.fleet.publisher import StatePublisher
 from m100link.apps.fleet.revocations import Revocations, RevocationService
 from m100link.apps.fleet.show.service import Beside, ShowService
+from m100link.apps.fleet.signing import Seal
 from m100link.apps.station.config import Settings
 from m100link.apps.station.listeners import (
     Fronts,
@@ -69,6 +70,8 @@ class FleetSettings:
     # Folder of what outlives an agent; None: nothing does, as for virtual aircraft.
     order_logs: Path | None = None
     options: dict[str, str] = field(default_factory=dict)  # more options of zenoh, by name, as JSON
+    seals: dict[str, Seal] = field(default_factory=dict)  # by which aircraft sign what they say
+    authority: Revocations | None = None  # whose certificates other aircraft have
     verify: Verify | None = None  # looks at each order; None: the router alone decides who may ask
     revocations: Revocations | None = None  # who is shut out, whatever the file of rights says
     log_rate: float = RATE  # bytes of flight logs a second that each aircraft gives away at most
@@ -87,7 +90,14 @@ async def serving_fleet(
     keys = {name: Keys(fleet.site, name) for name in aircraft}  # before anything is opened
     async with AsyncExitStack() as stack:
         bus = await stack.enter_async_context(
-            open_fleet("client", connect=fleet.connect, options=fleet.options, is_patient=True)
+            open_fleet(
+                "client",
+                connect=fleet.connect,
+                options=fleet.options,
+                is_patient=True,
+                seals=fleet.seals,
+                authority=fleet.authority,
+            )
         )
         agents = {}
         for place, (name, settings) in enumerate(aircraft.items()):

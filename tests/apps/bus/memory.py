@@ -16,12 +16,14 @@ from typing import Any, TypeVar
 
 from m100link.apps.bus.network import (
     DEPTH,
+    SETTLED_S,
     Held,
     Inbox,
     Outlet,
     QueryAnswer,
     Question,
     Received,
+    Settles,
     TokenChange,
 )
 
@@ -107,7 +109,12 @@ class _Asking:
     """A question on its way to each who serves its key, and what they answer on its way back."""
 
     def __init__(
-        self, asker: MemoryBus, key: str, payload: bytes, hear: Callable[[QueryAnswer], None]
+        self,
+        asker: MemoryBus,
+        key: str,
+        payload: bytes,
+        hear: Callable[[QueryAnswer], None],
+        attachment: bytes = b"",
     ) -> None:
         network = self._network = asker.network
         self._asker, self._hear = asker, hear
@@ -119,7 +126,8 @@ class _Asking:
         if not asked:
             self.ended.set()
         for one in asked:
-            question = Question(key, payload, partial(self._answer, one), partial(self._end, one))
+            ways = partial(self._answer, one), partial(self._end, one)
+            question = Question(key, payload, *ways, attachment)
             network.carry(asker, one.session, partial(one.session.hand, one, question))
 
     def _answer(
@@ -318,14 +326,24 @@ class MemoryBus:
         _Asking(self, key, b"", lambda _: inbox.waiting.append(True))
         return inbox
 
-    async def ask(self, key: str, payload: bytes = b"", *, timeout: float) -> list[QueryAnswer]:
+    async def ask(
+        self,
+        key: str,
+        payload: bytes = b"",
+        *,
+        timeout: float,
+        attachment: bytes = b"",
+        settles: Settles | None = None,
+    ) -> list[QueryAnswer]:
         """Ask everybody who serves it."""
         answers: dict[tuple[str, str], QueryAnswer] = {}
 
         def hear(answer: QueryAnswer) -> None:
             answers[answer.session, answer.key] = answer
+            if settles is not None and settles(answer):
+                asyncio.get_running_loop().call_later(SETTLED_S, asking.ended.set)
 
-        asking = _Asking(self, key, payload, hear)
+        asking = _Asking(self, key, payload, hear, attachment)
         try:
             async with asyncio.timeout(timeout):
                 await asking.ended.wait()

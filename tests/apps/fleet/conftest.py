@@ -15,11 +15,14 @@ from m100link.apps.agent.connect import by_driver
 from m100link.apps.agent.server.agent import Agent
 from m100link.apps.agent.server.server import AgentServer
 from m100link.apps.agent.transports import memory_channels
+from m100link.apps.bus.network import Bus
 from m100link.apps.fleet.agent import FleetAgent
 from m100link.apps.fleet.client import Fleet
 from m100link.apps.fleet.keys import Keys
 from m100link.apps.fleet.order_log import MemoryOrderLog, OrderLog
 from m100link.apps.fleet.publisher import StatePublisher
+from m100link.apps.fleet.revocations import Revocations
+from m100link.apps.fleet.signing import Seal, SealedBus
 from m100link.sim.clock import virtual_clock_loop
 from m100link.sim.ports.driver import Driver
 from m100link.sim.virtual import VirtualAircraft
@@ -44,7 +47,9 @@ class OnBoard:
         self._is_killed = False
 
     @asynccontextmanager
-    async def running(self, *, as_bytes: bool = True, **options: Any) -> AsyncIterator[OnBoard]:
+    async def running(
+        self, *, as_bytes: bool = True, seal: Seal | None = None, **options: Any
+    ) -> AsyncIterator[OnBoard]:
         self._driver = driver = Driver(self.aircraft)
         connect = by_driver(driver)
 
@@ -54,6 +59,8 @@ class OnBoard:
             return await connect()
 
         self.bus: MemoryBus = self.rig.network.session()
+        seals = {} if seal is None else {self.name: seal}
+        self.spoken = SealedBus(self.bus, seals, options.pop("authority", None))
         async with AsyncExitStack() as stack:
             self.agent = await stack.enter_async_context(
                 Agent(
@@ -68,7 +75,7 @@ class OnBoard:
             self.client = await stack.enter_async_context(AgentClient(ours, "fleet"))
             self.fleet_agent = FleetAgent(
                 self.client,
-                self.bus,
+                self.spoken,
                 Keys(SITE, self.name),
                 self.order_log,
                 utc=self.rig.utc,
@@ -137,13 +144,18 @@ class Rig:
     async def served(self, name: str, **options: Any) -> OnBoard:
         """An aircraft whose agent tells fronts that are elsewhere, too."""
         one = await self.aircraft(name, **options)
-        told = StatePublisher(one.client, one.bus, Keys(SITE, name), one.fleet_agent.boot)
+        told = StatePublisher(one.client, one.spoken, Keys(SITE, name), one.fleet_agent.boot)
         one.agent.background.spawn(told.run(), "fronts")
         await anyio.sleep(0.01)  # it begins
         return one
 
-    async def pilot(self, name: str = "pilot", **options: Any) -> Fleet:
-        fleet = Fleet(self.network.session(), site=SITE, name=name, utc=self.utc, **options)
+    async def pilot(
+        self, name: str = "pilot", authority: Revocations | None = None, **options: Any
+    ) -> Fleet:
+        bus: Bus = self.network.session()
+        if authority is not None:
+            bus = SealedBus(bus, authority=authority)
+        fleet = Fleet(bus, site=SITE, name=name, utc=self.utc, **options)
         return await self.stack.enter_async_context(fleet)
 
 

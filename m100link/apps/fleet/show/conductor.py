@@ -8,7 +8,6 @@ that leave, and the others fly on.
 from __future__ import annotations
 
 import asyncio
-import hashlib
 import math
 import time
 import uuid
@@ -81,10 +80,9 @@ class Conductor:
         how: dict[str, Any] = {"sign": sign or unsigned, "patience": _ANSWER_S, "utc": utc}
         self._askers = {name: Asker(bus, Keys(site, name), who, **how) for name in self._tracks}
         self._least = show.least_distance_m
-        digests = sorted(track.digest for track in show.tracks)
-        self._digest = hashlib.sha256("".join(digests).encode()).hexdigest()[:16]
         self._leave = leave
         # Orders of nobody else are carried out until this show is over, and none of ours behind it.
+        # It also names the show: a place that was recorded when it was flown before is of another.
         self._run = uuid.uuid4().hex
         self._tell = tell
         self._clock = asyncio.get_running_loop().time
@@ -188,7 +186,7 @@ class Conductor:
         data = track.to_bytes()
         for at in range(0, len(data), _PIECE):
             await self._ask(track, payloads.SendTrack(self._run, at, data[at : at + _PIECE]))
-        how = (self._leave, self._digest, self._least, len(self._tracks) - 1)
+        how = (self._leave, self._run[:16], self._least, len(self._tracks) - 1)
         part = await self._ask(track, payloads.LoadTrack(self._run, *how))
         if part.digest != track.digest:
             raise BadShow(
