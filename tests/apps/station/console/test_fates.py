@@ -218,8 +218,9 @@ class World:
     async def ready(self) -> None:
         """Have control, and be in the air, with nothing held."""
         await self.let_go()
-        self.do(("seen", None))
+        self.do()
         told = self.page.shown["unanswered"].split(", ")
+        self.do(("seen", None))
         self.waiting = {name: at for name, at in self.waiting.items() if name not in told}
         while not self.tab.session.has_control:
             await self.tab.attempt(self.tab.session.obtain)
@@ -414,11 +415,13 @@ Disturbance = Callable[[World], Awaitable[None]]
 
 
 async def meanwhile(world: World) -> None:
-    """While nothing can be known, the pilot may take the aircraft."""
+    """While nothing can be known, a button is pressed, and the pilot may take the aircraft."""
+    if world.chance.random() < 0.5:
+        world.order("activate", orders.Activate())
     await anyio.sleep(world.chance.uniform(0.05, 1.0))
     if world.chance.random() < 0.6:
         world.rig.aircraft.leave_f()
-    await anyio.sleep(world.chance.uniform(0.2, 3.0))
+    await anyio.sleep(world.chance.uniform(0.2, 4.0))
     world.rig.aircraft.return_to_f()
 
 
