@@ -31,6 +31,56 @@ navigator.getGamepads = () => [window.pad];
 """A gamepad of which the test sets sticks and buttons."""
 
 
+class Fingers:
+    """Fingers on a screen, by Chromium's own input: what a page gets is what a phone sends."""
+
+    def __init__(self, page: Any, session: Any) -> None:
+        self.page, self._session = page, session
+        self._points: dict[int, dict[str, float]] = {}
+
+    @classmethod
+    async def at(cls, page: Any) -> Fingers:
+        return cls(page, await page.context.new_cdp_session(page))
+
+    async def place_of(self, selector: str) -> tuple[float, float]:
+        box = await self.page.locator(selector).bounding_box()
+        return box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+
+    async def down(self, finger: int, selector: str) -> None:
+        x, y = await self.place_of(selector)
+        self._points[finger] = {"x": x, "y": y, "id": finger}
+        await self._tell("touchStart")
+
+    async def move(self, finger: int, across: float, down: float) -> None:
+        self._points[finger]["x"] += across
+        self._points[finger]["y"] += down
+        await self._tell("touchMove")
+
+    async def up(self) -> None:
+        """All of them: the protocol has no end of one of two."""
+        self._points.clear()
+        await self._tell("touchEnd")
+
+    async def lift(self, selector: str) -> None:
+        """The end of one of two, as the page would hear it."""
+        await self.page.evaluate(
+            """(selector) => {
+              const stick = m100.steering.sticks.find((one) => one.element.matches(selector));
+              const end = new PointerEvent("pointerup", {pointerId: stick.pointer});
+              stick.element.dispatchEvent(end);
+            }""",
+            selector,
+        )
+
+    async def cancel(self) -> None:
+        self._points.clear()
+        await self._tell("touchCancel")
+
+    async def _tell(self, kind: str) -> None:
+        points = list(self._points.values())
+        await self._session.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+
+
 async def press(page: Any, name: str) -> None:
     await page.click(f"[data-act={name}]")
 

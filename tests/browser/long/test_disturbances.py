@@ -1,4 +1,6 @@
-"""What the aircraft does when something goes wrong between it and a finger that holds a key.
+"""What the aircraft does when something goes wrong between it and a hand that steers.
+
+A key at a desk, a stick on a phone and on a tablet.
 
 The virtual aircraft stands in this process, behind TCP, and is asked itself: when the last frame
 came that was not neutral, when it hovered, how far it had gone, who has authority then. Each row of
@@ -27,7 +29,7 @@ from m100link.sim.ports.driver import Driver, serve_tcp
 from m100link.sim.vehicle.activation import DEMO_APP_ID, DEMO_KEY
 from m100link.sim.virtual import VirtualAircraft
 from tests.browser.conftest import ARGUMENTS, CHROMIUM, playwright, until
-from tests.browser.operator import hold_key
+from tests.browser.operator import Fingers, fold, hold_key, steer
 from tests.waiting import PATIENCE
 
 pytestmark = [pytest.mark.anyio, pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here")]
@@ -42,6 +44,14 @@ SETTLE_S = 5.0
 
 SAYS_LOST = "document.body.classList.contains('station-lost')"
 """Every value on the page is shown as old."""
+
+
+TOUCH = {"has_touch": True, "is_mobile": True}
+SCREENS: dict[str, dict[str, Any]] = {
+    "desk": {"viewport": {"width": 1280, "height": 800}},
+    "phone": {"viewport": {"width": 390, "height": 844}, **TOUCH},
+    "tablet": {"viewport": {"width": 820, "height": 1180}, **TOUCH},
+}
 
 
 class Line(Driver):
@@ -81,12 +91,12 @@ class Measured:
 class Flight:
     """A page that steers the aircraft to the north, and whatever can be done to both."""
 
-    def __init__(self, line: Line, station: Any, browser: Any, page: Any, mark: str) -> None:
+    def __init__(self, line: Line, station: Any, page: Any, mark: str, *, by_touch: bool) -> None:
         self.line = line
         self.station = station
-        self.browser = browser
         self.page = page
         self._mark = mark
+        self._by_touch = by_touch
         self._loop = asyncio.get_running_loop()
 
     @property
@@ -121,10 +131,21 @@ class Flight:
         return [whole, *descendants(whole)]
 
     async def steer(self) -> None:
-        """Hold a key until it flies."""
-        await self.page.click("#pad")
-        await self.page.keyboard.press("Digit4")
-        await hold_key(self.page, "w", lambda: self.speed > 0.8)
+        """Hold a key, or the right stick forward, until it flies."""
+        if not self._by_touch:
+            await self.page.click("#pad")
+            await self.page.keyboard.press("Digit4")
+            return await hold_key(self.page, "w", lambda: self.speed > 0.8)
+        await fold(self.page, "sticks", is_shown=True)
+        for _ in range(3):
+            await self.page.tap("[data-steer=faster]")
+        hand = await Fingers.at(self.page)
+
+        async def push() -> None:
+            await hand.down(1, ".stick.move")
+            await hand.move(1, 0, -60)
+
+        await steer(self.page, push, hand.up, lambda: self.speed > 0.8)
 
     async def after(self, disturb: Callable[[], Awaitable[Any]]) -> Measured:
         """What it does from this disturbance on."""
@@ -139,6 +160,13 @@ class Flight:
         found = Measured(steered_s, hovers_s, moved_m, self.aircraft.vehicle.authority.device)
         print(f"\n{os.environ.get('PYTEST_CURRENT_TEST')}: {found}")  # noqa: T201 - for the manual
         return found
+
+    async def stays(self, what: str) -> None:
+        """Nothing that is still held moves anything."""
+        frames = self.line.steered_at
+        await asyncio.sleep(2.0)
+        assert self.line.steered_at == frames, what
+        assert self.speed < HOVERS_M_S, what
 
 
 def processes() -> Iterator[int]:
@@ -197,25 +225,31 @@ async def console_of(line: Line) -> AsyncIterator[tuple[str, asyncio.subprocess.
         await server.stop()
 
 
-@pytest.fixture
-async def flight() -> AsyncIterator[Flight]:
+async def page_of(context: Any, url: str) -> Any:
+    page = await context.new_page()
+    page.set_default_timeout(1000 * PATIENCE)
+    await page.add_init_script(DELAY)
+    await page.goto(url)
+    await page.wait_for_function("window.m100?.steering && window.m100.socket.heardAt > 0")
+    return page
+
+
+@pytest.fixture(params=SCREENS)
+async def flight(request: pytest.FixtureRequest) -> AsyncIterator[Flight]:
     """A virtual aircraft that the pilot has taken off with, and a page that has control of it."""
     line, mark = Line(VirtualAircraft(seed=5)), f"--m100link-{uuid.uuid4()}"
     line.start()
     async with console_of(line) as (url, station), playwright.async_playwright() as started:
         browser = await started.chromium.launch(executable_path=CHROMIUM, args=[*ARGUMENTS, mark])
         try:
-            page = await browser.new_page(viewport={"width": 1280, "height": 800})
-            page.set_default_timeout(1000 * PATIENCE)
-            await page.add_init_script(DELAY)
-            await page.goto(url)
-            await page.wait_for_function("window.m100?.steering && window.m100.socket.heardAt > 0")
+            screen = SCREENS[request.param]
+            page = await page_of(await browser.new_context(**screen), url)
             line.aircraft.pilot_takes_off()
             vehicle = line.aircraft.vehicle
             await until(lambda: line.aircraft.height > 1.1)
             await page.click("[data-act=obtain]:not([disabled])")
             await until(lambda: vehicle.authority.device is Device.ONBOARD)
-            one = Flight(line, station, browser, page, mark)
+            one = Flight(line, station, page, mark, by_touch="has_touch" in screen)
             await one.steer()
             front = one.front
             yield one
@@ -287,10 +321,7 @@ async def test_slept_laptop(flight: Flight) -> None:
             os.kill(one, signal.SIGCONT)
     assert did.steered_s < STEERED_S
     assert did.authority is not Device.ONBOARD
-    frames = flight.line.steered_at
-    await asyncio.sleep(2.0)  # awake, and the key still down
-    assert flight.line.steered_at == frames, "it flew on by itself when it woke"
-    assert flight.speed < HOVERS_M_S
+    await flight.stays("it flew on by itself when it woke")  # with the key still down
 
 
 async def test_delay_of_300_ms_each_way(flight: Flight) -> None:
@@ -303,6 +334,53 @@ async def test_delay_of_300_ms_each_way(flight: Flight) -> None:
     assert did.steered_s < STEERED_S + 0.6
     assert did.authority is Device.ONBOARD
     assert "it was not flown" in await flight.page.inner_text("body")
+
+
+async def test_pilot_takes_over(flight: Flight) -> None:
+    """The mode switch: what is still held counts no more when it is back in F."""
+
+    async def leave_f() -> None:
+        flight.aircraft.leave_f()
+
+    did = await flight.after(leave_f)
+    assert did.steered_s < STEERED_S
+    assert did.authority is Device.RC
+    assert "mode switch" in await flight.page.inner_text("#banner")
+    flight.aircraft.return_to_f()
+    await until(lambda: flight.aircraft.vehicle.authority.device is Device.ONBOARD)
+    await flight.stays("it flew on as the pilot gave it back")
+
+
+async def test_cable_pulled_and_plugged_in_again(flight: Flight) -> None:
+    async def pull() -> None:
+        flight.aircraft.unplug()
+
+    did = await flight.after(pull)
+    assert did.steered_s < STEERED_S
+    await flight.page.wait_for_selector("#banner:not(.good)")
+    flight.aircraft.replug()
+    await flight.page.wait_for_selector("#banner.good, [data-act=obtain]:not([disabled])")
+    await flight.stays("it flew on with the cable")
+
+
+async def test_another_tab_takes_over(flight: Flight) -> None:
+    """Two tabs of one browser: a hand on the first one moves nothing any more."""
+    other = await page_of(flight.page.context, flight.page.url.partition("#")[0])
+    if flight.speed < HOVERS_M_S:  # the first one is hidden now: it may have let go
+        await flight.page.bring_to_front()
+        await flight.steer()
+
+    async def take_over() -> None:
+        await other.bring_to_front()
+        await other.click("[data-act=obtain]:not([disabled])")
+        await other.click("#confirm")
+
+    did = await flight.after(take_over)
+    assert did.authority is Device.ONBOARD
+    assert "You have control" in await other.inner_text("#banner")
+    await flight.page.bring_to_front()
+    await flight.stays("the first tab steers on")
+    assert "has control" in await flight.page.inner_text("#banner")
 
 
 async def test_browser_killed(flight: Flight) -> None:
@@ -332,7 +410,7 @@ async def test_front_killed(flight: Flight) -> None:
     await lost
     await until(lambda: flight.front != front, what="the fronts are not started again")
     await flight.page.wait_for_selector("[data-act=obtain]:not([disabled])")
-    assert flight.speed < HOVERS_M_S, "the page that came back steers"
+    await flight.stays("the page that came back steers")
 
 
 async def test_agent_killed(flight: Flight) -> None:

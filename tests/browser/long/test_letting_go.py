@@ -10,57 +10,11 @@ import pytest
 
 from tests.browser.boxes import faults
 from tests.browser.conftest import Console, console_in_browser, context_of, until
-from tests.browser.operator import GAMEPAD, airborne, fold, is_still, steer
+from tests.browser.operator import GAMEPAD, Fingers, airborne, fold, is_still, steer
 
 pytestmark = [pytest.mark.anyio]
 
 LEFT, RIGHT = ".stick.climb", ".stick.move"
-
-
-class Fingers:
-    """Fingers on a screen, by Chromium's own input: what a page gets is what a phone sends."""
-
-    def __init__(self, page: Any, session: Any) -> None:
-        self.page, self._session = page, session
-        self._points: dict[int, dict[str, float]] = {}
-
-    async def place_of(self, selector: str) -> tuple[float, float]:
-        box = await self.page.locator(selector).bounding_box()
-        return box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
-
-    async def down(self, finger: int, selector: str) -> None:
-        x, y = await self.place_of(selector)
-        self._points[finger] = {"x": x, "y": y, "id": finger}
-        await self._tell("touchStart")
-
-    async def move(self, finger: int, across: float, down: float) -> None:
-        self._points[finger]["x"] += across
-        self._points[finger]["y"] += down
-        await self._tell("touchMove")
-
-    async def up(self) -> None:
-        """All of them: the protocol has no end of one of two."""
-        self._points.clear()
-        await self._tell("touchEnd")
-
-    async def lift(self, selector: str) -> None:
-        """The end of one of two, as the page would hear it."""
-        await self.page.evaluate(
-            """(selector) => {
-              const stick = m100.steering.sticks.find((one) => one.element.matches(selector));
-              const end = new PointerEvent("pointerup", {pointerId: stick.pointer});
-              stick.element.dispatchEvent(end);
-            }""",
-            selector,
-        )
-
-    async def cancel(self) -> None:
-        self._points.clear()
-        await self._tell("touchCancel")
-
-    async def _tell(self, kind: str) -> None:
-        points = list(self._points.values())
-        await self._session.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
 
 
 @pytest.fixture
@@ -73,7 +27,7 @@ async def fingers(browser: Any) -> AsyncIterator[tuple[Console, Fingers]]:
         console.context, desk = phone, console.context
         page = await airborne(console)
         console.context = desk
-        hand = Fingers(page, await phone.new_cdp_session(page))
+        hand = await Fingers.at(page)
         await fold(page, "sticks", is_shown=True)
         for _ in range(4):
             await page.tap("[data-steer=faster]")
