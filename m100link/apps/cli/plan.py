@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -19,7 +19,15 @@ from m100link.missions import document
 from m100link.missions.checks import HOVER_MINUTES, PlanEstimate, leg_lengths
 from m100link.missions.plan import WaypointPlan
 from m100link.missions.survey import survey as lines_over
-from m100link.missions.waypoint import GimbalPitch, Heading, Stay, TurnTo, Waypoint, WaypointAction
+from m100link.missions.waypoint import (
+    AtEnd,
+    GimbalPitch,
+    Heading,
+    Stay,
+    TurnTo,
+    Waypoint,
+    WaypointAction,
+)
 
 app = group("plan", "Make, check, draw and convert waypoint plans, without an aircraft.")
 
@@ -320,6 +328,8 @@ def survey(
     angle: float = 0.0,
     photo_every: Annotated[float | None, Above0] = None,
     speed: Annotated[float, Above0] = 5.0,
+    take_off: bool = False,
+    at_end: Literal["hover", "go-home", "land"] = "hover",
     to: Format = None,
     force: Force = False,
 ) -> int:
@@ -332,6 +342,8 @@ def survey(
         angle: Direction of the lines, degrees clockwise from north.
         photo_every: Metres between photographs along a line; by default it takes none.
         speed: Speed along the lines, m/s.
+        take_off: Take off first, from the ground.
+        at_end: Action after the last line.
     """
     plan = lines_over(
         [degrees("a corner", word) for word in area],
@@ -340,8 +352,9 @@ def survey(
         angle_deg=angle,
         photo_every=photo_every,
         speed=speed,
+        at_end=AtEnd[at_end.replace("-", "_").upper()],
     )
-    return _write(plan, target, to, force=force)
+    return _write(replace(plan, take_off=take_off), target, to, force=force)
 
 
 def degrees(

@@ -293,6 +293,22 @@ def test_a_survey_is_written_and_can_be_read(cli: CommandLine, tmp_path: Path) -
     plan = WaypointPlan.read(target)
     assert {one.height for one in plan.waypoints} == {30.0}
     assert len(plan.waypoints) == 8
+    assert (plan.take_off, plan.at_end) == (False, AtEnd.HOVER)
+
+
+@pytest.mark.parametrize("kind", ["json", "plan"])
+@pytest.mark.parametrize(
+    ("words", "end"), [("go-home", AtEnd.GO_HOME), ("land", AtEnd.LAND), ("hover", AtEnd.HOVER)]
+)
+def test_a_survey_takes_off_and_ends_as_it_is_told(
+    cli: CommandLine, tmp_path: Path, kind: str, words: str, end: AtEnd
+) -> None:
+    target = tmp_path / f"field.{kind}"
+    lines = ("--height", "30", "--spacing", "15")
+    ended = cli("plan", "survey", str(target), *FIELD, *lines, "--take-off", "--at-end", words)
+    assert ended.status == ExitCode.OK
+    plan = WaypointPlan.read(target)
+    assert (plan.take_off, plan.at_end) == (True, end)
 
 
 @pytest.mark.parametrize("area", [FIELD[:2], ("52.1", *FIELD), ("x,y", *FIELD)])
