@@ -21,8 +21,7 @@ from dataclasses import dataclass, field
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.messages import State, Telemetry
 from m100link.apps.agent.transports import MemoryChannel, memory_channels
-from m100link.apps.bus.network import DEPTH, Held, Outlet
-from m100link.apps.bus.session import ZenohBus
+from m100link.apps.bus.network import DEPTH, Bus, Held, Outlet
 from m100link.apps.fleet.agent import FleetAgent
 from m100link.apps.fleet.client import Fleet, open_fleet
 from m100link.apps.fleet.keys import Keys
@@ -72,7 +71,7 @@ class _CountedBus:
         heard: What came.
     """
 
-    def __init__(self, bus: ZenohBus) -> None:
+    def __init__(self, bus: Bus) -> None:
         self._bus = bus
         self.serve, self.ask, self.declare = bus.serve, bus.ask, bus.declare
         self.watch, self.tokens, self.session = bus.watch, bus.tokens, bus.session

@@ -23,7 +23,7 @@ _logger = logging.getLogger(__name__)
 T = TypeVar("T")
 
 SETTLED_S = 0.1
-"""Seconds for an answer that contradicts: who is silent must not hold up one that is believed."""
+"""Seconds for an answer that contradicts. A silent session must not hold up a proved answer."""
 
 DEPTH = 1024
 """The most messages that wait for one taker; of more than that the oldest is lost."""

@@ -384,7 +384,7 @@ async def connect(
         name: Name of the operator, shown to other people.
         sign: Signs orders; see :func:`m100link.apps.fleet.signing.signing`.
         authority: Believe only what an aircraft has signed by a certificate of this authority:
-            ``Revocations.of_folder(pki)``. Without it, whoever shows its token is believed.
+            ``Revocations.of_folder(pki)``. Without it, the session with its token is believed.
         options: More options of zenoh, by name, as JSON: certificates, for example.
         patience: Seconds without any answer after which an outcome is unknown.
 

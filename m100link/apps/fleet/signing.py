@@ -1,4 +1,4 @@
-"""How operators sign orders of a fleet, and how aircraft sign what they say.
+"""Signatures of operators over orders of a fleet, and of aircraft over their words.
 
 An agent verifies orders on board, and an operator verifies replies, cards and events, each without
 trusting the router or any token.
@@ -107,7 +107,7 @@ def _warn_of_end(certificate: Path, name: str) -> None:
         )
 
 
-# -- what an aircraft says, signed by the key of its certificate -----------------------------------
+# -- words of an aircraft, signed by the key of its certificate ------------------------------------
 # Bytes of a sealed payload: a mark, the lengths of the certificate and of the signature, and a
 # stamp; then certificate, signature and the payload. An answer is bound to the bytes of its
 # question, which nobody asked before. A message that nobody asked for has its stamp, and counts
@@ -171,7 +171,7 @@ class Seal:
         about = b"" if question is None else _about(question)
         signed = _signed(key, about, self._stamp, payload)
         signature = self._key.sign(signed, ec.ECDSA(SHA256()))
-        # Who never asked the aircraft anything has it with the places of a show alone.
+        # Other aircraft of a show ask it nothing: they have the certificate with its places.
         is_shown = question is not None or key.endswith("/place")
         certificate = self._certificate if is_shown else b""
         head = _HEAD.pack(SEALED, len(certificate), len(signature), self._stamp)
@@ -219,9 +219,9 @@ class _Sealing(Outlet):
 
 
 class SealedBus:
-    """A session of a fleet: what its aircraft say is signed, and what others say is verified.
+    """A session of a fleet that signs for its own aircraft, and verifies the words of others.
 
-    Without an authority nothing is verified, and who shows the token of an aircraft is believed.
+    Without an authority nothing is verified, and the token of an aircraft is believed.
     """
 
     def __init__(
@@ -329,7 +329,7 @@ class SealedBus:
             self._learn(name, stamp)
         return proved
 
-    # -- who said it -----------------------------------------------------------------------------
+    # -- whose words they are --------------------------------------------------------------------
 
     def _opened(self, key: str, payload: bytes, about: bytes) -> tuple[str, int, bytes] | None:
         """Whose it is, its stamp and payload; None for what its aircraft did not sign."""
@@ -383,7 +383,7 @@ class SealedBus:
         )
 
     def _heard(self, key: str, payload: bytes) -> bytes | None:
-        """What an aircraft said that nobody asked for; None for what is not its own, or not new."""
+        """The words of an aircraft that nobody asked for; None if not its own, or not new."""
         if self._authority is None:
             return _parts(payload)[-1]
         found = self._opened(key, payload, b"")

@@ -218,7 +218,7 @@ def test_each_may_do_what_the_file_says_and_nobody_comes_without_a_certificate(
     assert secured_site.ask("mission", "stop", "a1", "--identity", "bert")[0] == ExitCode.OK
     status, [told] = secured_site.ask("land", "a1", "--identity", "bert")
     assert (status, told["outcome"]) == (ExitCode.OK, "ok")
-    assert secured_site.ask("list")[0] == ExitCode.USAGE
+    assert secured_site.ask("list")[0] == ExitCode.NO_LINK
 
 
 @pytest.mark.pty

@@ -345,7 +345,7 @@ class Stage:
                 self.rig.aircraft(name, **options) if before is None else before.next(**options)
             )
         finally:
-            del network.session  # type: ignore[method-assign]
+            del network.session
         self.on_board[name] = made
         self.adversary.boots[name] = made.fleet_agent.boot
         self.boots[name].add(made.fleet_agent.boot)
