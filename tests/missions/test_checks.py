@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import pickle
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import pytest
@@ -31,6 +32,7 @@ from m100link.protocol.commands.waypoint import (
 from m100link.protocol.fields import Number
 
 PLACE = 52.1, 4.31
+near: Any = partial(pytest.approx, rel=1e-6)
 MISSION, POINT = WaypointMission.LAYOUT.numbers, WaypointPoint.LAYOUT.numbers
 
 
@@ -249,6 +251,137 @@ def test_everything_that_is_wrong_is_reported_and_the_first_is_raised() -> None:
     assert [one.field for one in error.problems] == ["repeat", "speed", "height", "heading_deg"]
     assert [one.point for one in error.problems] == [None, None, 0, 1]
     assert pickle.loads(pickle.dumps(error)).problems[3].value == 500
+
+
+CORNERS = (
+    "waypoint 2: corners of 30 m and 25 m do not fit into the 50.00 m from waypoint 1 to waypoint 2"
+)
+FAR = [at(1999.0 * (index % 2)) for index in range(17)]
+WHOLE: list[tuple[dict[str, Any], str, int | None, str, Any, Any, str]] = [
+    (
+        {"point": {"height": 500.5}},
+        "waypoint 1: height 500.5 is above 500 m",
+        *(1, "height", 500.5, (-200, 500), "-200 to 500 m above the take-off point"),
+    ),
+    (
+        {"point": {"gimbal_pitch_deg": -91}},
+        "waypoint 1: gimbal_pitch_deg -91 is below -90°",
+        *(1, "gimbal_pitch_deg", -91, (-90, 0), "-90 to 0°"),
+    ),
+    (
+        {"point": {"heading_deg": -200}},
+        "waypoint 1: heading_deg -200 is below -180°",
+        *(1, "heading_deg", -200, (-180, 180), "-180 to 180°; 160° is the same direction"),
+    ),
+    (
+        {"point": {"heading_deg": 361}},
+        "waypoint 1: heading_deg 361 is above 180°",
+        *(1, "heading_deg", 361, (-180, 180), "-180 to 180°"),
+    ),
+    (
+        {"point": {"damping": 0.1}},
+        "waypoint 1: damping 0.1 is below 0.2 m",
+        *(1, "damping", 0.1, (0.2, 1000), "0.2 to 1000 m, or 0"),
+    ),
+    (
+        {"point": {"action_time_limit": "x" * 50}},
+        f"waypoint 1: action_time_limit is '{'x' * 36}..., not a finite number",
+        *(1, "action_time_limit", "x" * 50, (0, 999), "0 to 999 s, or None"),
+    ),
+    (
+        {"point": {"action_repeat": 1.5}},
+        "waypoint 1: action_repeat is 1.5, not a whole number",
+        *(1, "action_repeat", 1.5, (0, 15), "0 to 15"),
+    ),
+    (
+        {"point": {"turn_clockwise": 1}},
+        "waypoint 1: turn_clockwise is 1",
+        *(1, "turn_clockwise", 1, (False, True), "True or False"),
+    ),
+    (
+        {"take_off": "no"},
+        "take_off is 'no'",
+        *(None, "take_off", "no", (False, True), "True or False"),
+    ),
+    (
+        {"trace": "straight"},
+        "trace is 'straight'",
+        *(None, "trace", "straight", tuple(Trace)),
+        "one of Trace.STOP_AT_POINTS, Trace.COORDINATED_TURNS",
+    ),
+    (
+        {"point": {"actions": [Stay(0)] * 16}},
+        "waypoint 1 has 16 actions",
+        *(1, "actions", 16, (0, 15), "15 at most"),
+    ),
+    (
+        {"point": {"actions": 5}},
+        "waypoint 1: actions is 5",
+        *(1, "actions", 5, None),
+        "a list of Stay, TakePhoto, StartVideo, StopVideo, TurnTo, GimbalPitch",
+    ),
+    (
+        {"point": {"actions": [TakePhoto()]}, "trace": Trace.COORDINATED_TURNS},
+        "waypoint 1 has actions that would never be done",
+        *(1, "actions", (TakePhoto(),), None, "Trace.STOP_AT_POINTS, or no actions"),
+    ),
+    (
+        {"point": {"actions": [TakePhoto]}},
+        "waypoint 1: actions[0] is the class TakePhoto",
+        *(1, "actions[0]", TakePhoto, None, "an action is made by calling it: TakePhoto(…)"),
+    ),
+    (
+        {"waypoints": [at(0)]},
+        "a plan of 1 waypoint cannot be flown",
+        *(None, "waypoints", 1, (2, 99), "2 to 99 waypoints; fly more of them as several plans"),
+    ),
+    (
+        {"waypoints": [at(0), 5]},
+        "waypoint 1 is 5",
+        *(1, "waypoints", 5, None, "a Waypoint"),
+    ),
+    (
+        {"waypoints": [at(0), at(1)]},
+        "waypoint 1 is 1.00 m from the one before it",
+        *(1, "waypoints", near(1.0), (2, 2000)),
+        "at least 2 m, measured in height too; leave one of them out",
+    ),
+    (
+        {"waypoints": [at(0), at(2100)]},
+        "waypoint 1 is 2100.00 m from the one before it",
+        *(1, "waypoints", near(2100.0), (2, 2000), "at most 2000 m; put others between them"),
+    ),
+    (
+        {"waypoints": FAR},
+        "the way is 32.0 km long",
+        *(None, "waypoints", near(31_984.0), 30_000, "at most 30 km; fly it as several plans"),
+    ),
+    (
+        {"waypoints": [at(0), at(50, damping=30), at(100, damping=25), at(150)]}
+        | {"trace": Trace.COORDINATED_TURNS},
+        CORNERS,
+        *(2, "damping", 55, near(50.0), "smaller dampings, together at most the distance"),
+    ),
+]
+
+
+@pytest.mark.parametrize(("values", "seen", "point", "field", "value", "limit", "remedy"), WHOLE)
+def test_a_problem_says_all_that_a_program_or_a_person_needs(
+    values: dict[str, Any],
+    seen: str,
+    point: int | None,
+    field: str,
+    value: object,
+    limit: object,
+    remedy: str,
+) -> None:
+    with pytest.raises(BadPlan) as caught:
+        WaypointPlan(**values) if "waypoints" in values else plan(**values)
+    error = caught.value
+    assert (error.seen, error.point, error.field, error.remedy) == (seen, point, field, remedy)
+    assert error.value == value
+    assert error.limit == limit
+    assert len(error.problems) == 1
 
 
 @pytest.mark.parametrize(

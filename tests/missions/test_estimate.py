@@ -50,7 +50,19 @@ def test_a_straight_way_is_its_length_by_its_speed_and_its_stops() -> None:
     assert made.duration_s == pytest.approx(SECONDS, abs=0.01)
     assert made.battery_percent == pytest.approx(SECONDS / 12, abs=0.01)
     assert str(made) == "200 m in 47 s, 4 % of a battery that hovers for 20 min"
+    assert PLAN.estimate(hover_minutes=0.5).battery_percent == pytest.approx(SECONDS / 0.3)
     assert seconds(trace=Trace.COORDINATED_TURNS) == pytest.approx(SECONDS - STOP_S, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("heading", "turned"),
+    [(Heading.ALONG_PATH, 2.0), (Heading.AS_AT_START, 4.0), (Heading.BY_RC, 4.0)],
+)
+def test_a_turn_begins_where_the_nose_points(heading: Heading, turned: float) -> None:
+    """To 180° at 45°/s: from the east, where it flies; from north, where nobody knows."""
+    points = [at(0), at(0, 100, actions=[TurnTo(180)], turn_clockwise=True), at(0, 200)]
+    turning = WaypointPlan(points, speed=5, heading=heading).estimate().duration_s
+    assert turning - SECONDS == pytest.approx(turned, abs=0.01)
 
 
 def test_a_steep_leg_is_climbed_slowly() -> None:
