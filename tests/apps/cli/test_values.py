@@ -30,6 +30,7 @@ from m100link.apps.cli import (
     demo,
     fleet_plans,
     fleet_verbs,
+    fleet_watch,
     flight,
     mission,
     sim,
@@ -39,6 +40,7 @@ from m100link.apps.cli.mission import event_name, event_words
 from m100link.apps.cli.terminal import ExitCode, ReaderGone
 from m100link.apps.doctor import Finding, Stage, Verdict
 from m100link.apps.doctor.first_contact import Observation, Topic
+from m100link.apps.fleet.logs.fetching import Fetched
 from m100link.apps.fleet.payloads import Card, MissionCard, MissionStage
 from m100link.flight.mission_state import MissionKind
 from m100link.flight.missions.events import (
@@ -55,7 +57,7 @@ from m100link.flight.tasks import TaskProgress
 from m100link.geodesy import LocalFrame
 from m100link.link.statistics import RoundTrips
 from m100link.missions.plan import AtEnd
-from m100link.protocol import Battery, FlightPhase, FlightStatus, Position
+from m100link.protocol import Battery, FlightPhase, FlightStatus, Position, Velocity
 from m100link.protocol.commands.control import Task
 from m100link.protocol.firmware import PROFILES
 from m100link.protocol.items import BY_RECORD
@@ -588,6 +590,80 @@ def test_cards_are_told_with_their_units() -> None:
     ]
     assert found["a2"] == ["lost:", "no", "port"]
     assert found["a3"] == ["no", "answer"]
+
+
+class HeardState:
+    """What was heard of an aircraft: each number is another one."""
+
+    newest_at = 50.0
+
+    def __init__(self, newest_age: float | None, *items: Any) -> None:
+        self.newest_age = newest_age
+        self._items = {type(item): item for item in items}
+
+    def fresh(self, kind: type[Any], *, now: float) -> Any:
+        assert now == 50.0, "as it was when it was heard last"
+        return self._items.get(kind)
+
+
+def heard_fleet() -> tuple[Any, Any]:
+    """Three aircraft: one in the air, one that is there and says little, one that has gone."""
+    velocity = Velocity(3.0, -4.0, 1.5, None)
+    flown = position(latitude=52.1, longitude=-4.3)
+    states = {
+        "a1": HeardState(0.26, flown, velocity, Battery(63), FlightStatus(FlightPhase.IN_AIR)),
+        "a2": HeardState(2.04),
+        "a3": HeardState(75.4, Battery(9)),
+    }
+    fleet = SimpleNamespace(present={"a1", "a2", "a4"})
+    return fleet, SimpleNamespace(states=states, received={"a1": 7, "a2": 8, "a3": 9, "a4": 0})
+
+
+def test_a_fleet_is_shown_with_the_age_of_what_was_heard() -> None:
+    table = fleet_watch._table(*heard_fleet())
+    found = rows(table)
+    assert found["name"] == ["age", "phase", "height", "speed", "battery", "place"]
+    assert found["a1"] == [
+        *("0.3", "s", "in", "air", "12.3", "m", "5.0", "m/s", "63", "%", "52.100000", "-4.300000")
+    ]
+    assert found["a2"] == ["2.0", "s"]
+    assert found["a3"] == ["gone,", "75", "s", "9", "%"]
+    assert found["a4"] == ["never", "heard"]
+    assert [str(row.style or "") for row in table.rows] == ["", "red", "red", ""]
+
+
+def test_a_fleet_is_printed_with_what_was_heard() -> None:
+    fleet, heard = heard_fleet()
+    one, two, gone, never = (
+        fleet_watch._facts(fleet, heard, name) for name in ("a1", "a2", "a3", "a4")
+    )
+    assert one["position"]["latitude_rad"] == pytest.approx(math.radians(52.1))
+    assert (one["velocity"]["north_m_s"], one["velocity"]["east_m_s"]) == (3.0, -4.0)
+    assert (one["battery"], one["flight_status"]) == ({"percent": 63}, {"status": 3})
+    assert (one["name"], one["is_there"], one["received"], one["age"]) == ("a1", True, 7, 0.26)
+    assert (two["battery"], two["age"], gone["is_there"]) == (None, 2.04, False)
+    assert never == {"name": "a4", "is_there": True, "received": 0}
+
+
+@pytest.mark.parametrize(
+    ("came", "is_written", "told"),
+    [
+        (9000, False, "9,000 bytes"),
+        (4000, False, "9,000 bytes, of which 5,000 were here already"),
+        (9000, True, "9,000 bytes; the log is still being written, and this is its part so far"),
+    ],
+)
+def test_a_log_that_is_here_says_how_much_of_it_came(
+    capsys: pytest.CaptureFixture[str], came: int, is_written: bool, told: str
+) -> None:
+    shown = fleet_watch._Shown(is_quiet=False)
+    shown.listener("a1")(4000, 9000)
+    shown.listener("a2")(1000, 9000)
+    shown.done(Fetched("a1", "one.mcap", Path("a1-one.mcap"), 9000, came, is_written))
+    assert capsys.readouterr().out == f"a1: a1-one.mcap: {told}\n"
+    shown.interrupted()
+    left = "a2: 1,000 of 9,000 bytes are here; the same command continues"
+    assert capsys.readouterr().err.split() == left.split()
 
 
 MISSIONS = [
