@@ -6,6 +6,7 @@ import asyncio
 import math
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from types import SimpleNamespace
 from typing import Any
 
 import anyio
@@ -16,12 +17,13 @@ from m100link.aircraft import Aircraft
 from m100link.apps.agent import orders
 from m100link.apps.agent.background import TaskSet
 from m100link.apps.agent.connect import by_driver
-from m100link.apps.agent.lease import LeaseRefused
-from m100link.apps.agent.messages import Journal
+from m100link.apps.agent.lease import Flown, LeaseRefused
+from m100link.apps.agent.messages import GuardLimits, Journal
 from m100link.apps.agent.server.agent import Agent
 from m100link.apps.agent.server.authority import AuthorityManager, HoldingInput, HoldingState
 from m100link.apps.agent.server.connection import ConnectionState
 from m100link.errors import AuthorityRefused, LinkError, NoAuthority, NotObserved
+from m100link.flight.guards import Envelope, Guards
 from m100link.protocol.setpoint import Setpoint
 from m100link.sim.line import NO_FAULTS, LineFaults
 from tests.apps.agent.conftest import Rig, airborne
@@ -65,6 +67,39 @@ def test_every_pair(state: HoldingState, what: HoldingInput, expected: HoldingSt
     assert holding.feed(what) is (expected is not state)
     assert holding.state is expected
     assert changes == ([] if expected is state else [(state, expected)])
+
+
+def test_without_a_flight_the_limits_are_those_of_the_guards_and_nothing_is_flown() -> None:
+    """Metres, m/s and percent; nobody knows where control began."""
+    guards = Guards(envelope=Envelope(40.0, 70.0, 6.0), battery_floor_percent=33)
+    given = AuthorityManager(Journal(lambda: 0.0), TaskSet(), guards)
+    usual: Any = AuthorityManager(Journal(lambda: 0.0), TaskSet())
+    assert given.limits == GuardLimits(40.0, 70.0, 6.0, 33, None, None)
+    assert usual.limits == GuardLimits(50.0, 150.0, 10.0, 20, None, None)
+    assert usual.flown is Flown.NOTHING
+    with pytest.raises(NoAuthority) as caught:
+        usual.require()
+    assert caught.value.remedy == "obtain control first"
+
+
+@pytest.mark.parametrize("state", S)
+@pytest.mark.parametrize("has_authority", [True, False])
+def test_it_flies_where_the_agent_and_the_aircraft_agree_on_it(
+    state: HoldingState, has_authority: bool
+) -> None:
+    holding: Any = AuthorityManager(Journal(lambda: 0.0), TaskSet())
+    limits = GuardLimits(1.0, 2.0, 3.0, 4, 5.0, 6.0)
+    holding.state = state
+    holding.flying = SimpleNamespace(
+        has_authority=has_authority, flown=Flown.MISSION, limits=limits
+    )
+    assert (holding.flown, holding.limits) == (Flown.MISSION, limits)
+    assert holding.has_authority is (has_authority and state is S.HELD)
+    if holding.has_authority:
+        assert holding.require() is holding.flying
+    else:
+        with pytest.raises(NoAuthority):
+            holding.require()
 
 
 # -- what it does ---------------------------------------------------------------------------------
