@@ -1,10 +1,10 @@
 """Numbers of modules (times, sizes, speeds), stated a second time in ``tests/limits.toml``.
 
 Many tests take a limit from the module that they test, and hold whatever it says. So these numbers
-of the rooms below stand in that table, too: those that a module gives a name in capitals, and what
-a field or an argument has by default, words and switches, too, but nothing that is 0, off or empty.
-A change of one is a change of two files, and a reader sees it. Behaviour at a limit is a test of
-its module.
+of the rooms below stand in that table, too: those that a module gives a name in capitals, with rows
+and short tables of words, and what a field or an argument has by default, words and switches, too,
+but nothing that is 0, off or empty. A change of one is a change of two files, and a reader sees it.
+Behaviour at a limit is a test of its module.
 
 ``python -m tests.limits`` prints what the table lacks, for a reader to agree with.
 """
@@ -25,6 +25,9 @@ __all__ = ["differences"]
 
 ROOMS = ("apps/agent", "apps/bus", "apps/cli", "apps/doctor", "apps/station", "flight", "missions")
 
+LONGEST = 300
+"""Characters of a table: a longer one is a page of texts."""
+
 Defaults = Iterator[tuple[str, ast.expr | None]]
 
 
@@ -38,6 +41,7 @@ def numbers(module: Path) -> dict[str, object]:
     """Each number that the module names or has by default; rows of numbers as lists."""
     loaded, program = importlib.import_module(name_of(module)), tree(module)
     named = {name: as_list(getattr(loaded, name)) for name in capitals(program)}
+    named |= dict(tables(program))
     said = {name: literal(value) for name, value in defaults(program)}
     by_default = {name: value for name, value in said.items() if value}
     return {name: value for name, value in named.items() if value is not None} | by_default
@@ -50,6 +54,27 @@ def capitals(program: ast.Module) -> Iterator[str]:
                 for one in target.elts if isinstance(target, ast.Tuple) else [target]:
                     if isinstance(one, ast.Name) and one.id.isupper():
                         yield one.id
+
+
+def tables(program: ast.Module) -> Iterator[tuple[str, object]]:
+    """Short rows of words, and tables of words and numbers, that are written out."""
+    for node in program.body:
+        if isinstance(node, ast.Assign | ast.AnnAssign) and isinstance(
+            node.value, ast.Dict | ast.Tuple
+        ):
+            target = node.targets[0] if isinstance(node, ast.Assign) else node.target
+            try:
+                found = ast.literal_eval(node.value)
+            except ValueError:  # it has names
+                continue
+            if found and len(str(found)) < LONGEST and isinstance(target, ast.Name):
+                yield target.id, as_toml(found)
+
+
+def as_toml(value: object) -> object:
+    if isinstance(value, dict):
+        return {str(key): as_toml(part) for key, part in value.items()}
+    return [as_toml(part) for part in value] if isinstance(value, tuple | list) else value
 
 
 def defaults(program: ast.AST, within: str = "") -> Defaults:
