@@ -23,7 +23,18 @@ from tests.test_house import PACKAGE, name_of, tree
 
 __all__ = ["differences"]
 
-ROOMS = ("apps/agent", "apps/bus", "apps/cli", "apps/doctor", "apps/station", "flight", "missions")
+ROOMS = (
+    *(
+        "aircraft",
+        "apps/agent",
+        "apps/bus",
+        "apps/cli",
+        "apps/doctor",
+        "apps/fleet",
+        "apps/mavlink",
+    ),
+    *("apps/ros2", "apps/station", "flight", "link", "log", "missions", "sim", "sync", "telemetry"),
+)
 
 LONGEST = 300
 """Characters of a table: a longer one is a page of texts."""

@@ -40,6 +40,7 @@ from m100link.protocol.firmware import FIRMWARE_3_1
 from m100link.protocol.records import AccelerationMode, Attitude, Battery, Gimbal, Position
 from m100link.sim import VirtualClockEventLoop
 from m100link.telemetry.subscription import Latest, Lossless, Newest
+from tests import limits
 
 pytestmark = pytest.mark.anyio
 
@@ -438,3 +439,7 @@ async def test_an_activation_is_tried_again_every_two_seconds(
         requests, link, Credentials(7, "ab" * 32), timeout=timeout, progress=told.append
     )
     assert [(one.attempt, one.code, one.next_attempt_in, one.remaining) for one in told] == attempts
+
+
+def test_each_limit_is_as_agreed() -> None:
+    assert limits.differences("aircraft") == []

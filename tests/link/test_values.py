@@ -44,6 +44,7 @@ from m100link.protocol.commands.gimbal import TakePhoto
 from m100link.protocol.firmware import PROFILES
 from m100link.session.events import Expired, Latency
 from m100link.wire import Cipher, Frame, FrameDecoder, encode_frame
+from tests import limits
 from tests.link.peer import connected, settle
 from tests.support import KEY
 
@@ -665,3 +666,7 @@ async def test_a_host_gets_setpoints_of_seconds_and_is_lost_after_twenty(
     await settle()
     assert link.failure is not None
     assert not isinstance(link.failure, LinkClosed)
+
+
+def test_each_limit_is_as_agreed() -> None:
+    assert limits.differences("link") == []

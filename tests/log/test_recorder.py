@@ -460,14 +460,6 @@ async def test_each_tenth_of_a_second_what_was_noted_goes_to_the_thread(tmp_path
 # -- values: how long, how much, and what is counted -----------------------------------------------
 
 
-def test_how_long_and_how_much_a_recorder_waits() -> None:
-    """As docstrings and manual say; other tests read these where the code has them."""
-    found = (recorder.BATCH_S, recorder.FLUSH_S, recorder.FSYNC_S, recorder.ECHO_S)
-    assert found == (0.1, 0.5, 5.0, 30.0)
-    assert (recorder.HANGS_S, recorder.END_TIMEOUT_S) == (3.0, 15.0)
-    assert recorder.MAX_WAITING == 16_000_000
-
-
 @pytest.mark.parametrize(("takes", "seconds"), [(False, 3.0), (True, 15.0)])
 def test_the_end_of_a_log_waits_for_a_disk_that_takes_something(
     takes: bool, seconds: float, monkeypatch: pytest.MonkeyPatch

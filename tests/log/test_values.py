@@ -29,7 +29,7 @@ from m100link.protocol.firmware import PROFILES
 from m100link.protocol.records import Attitude, Battery, FlightStatus, Position
 from m100link.protocol.setpoint import ReferenceFrame
 from m100link.wire import Cipher
-from tests import known
+from tests import known, limits
 from tests.known_columns import COLUMNS, OLDER, are, on_the_wire
 from tests.log.known_flight import PUSH, SINKING, UTC, moved, pushed, write
 from tests.support import KEY, encrypted_frame, raw_frame
@@ -387,3 +387,7 @@ def test_a_movement_of_ros_is_one_of_the_aircraft(
 def test_a_flag_that_names_nothing_moves_nothing(flag: int, names: str) -> None:
     with pytest.raises(BadSetpoint, match=names):
         joy_move(flag, 1.0, 2.0, 3.0, 0.0)
+
+
+def test_each_limit_is_as_agreed() -> None:
+    assert limits.differences("log") == []

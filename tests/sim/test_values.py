@@ -19,6 +19,7 @@ from m100link.sim.fit import FlightRecording
 from m100link.sim.line import LineDirection, TelemetryPusher, split_frames
 from m100link.sim.orders import perform, status
 from m100link.wire import FrameDecoder, encode_frame
+from tests import limits
 from tests.sim.host import Host
 
 
@@ -357,3 +358,7 @@ def test_a_recording_holds_nothing_of_another() -> None:
     one, two = FlightRecording(name="one"), FlightRecording(name="two")
     one.attitude.append((0.0, 0.0, 0.0, 0.0))
     assert two.attitude == []
+
+
+def test_each_limit_is_as_agreed() -> None:
+    assert limits.differences("sim") == []

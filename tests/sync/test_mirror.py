@@ -16,6 +16,7 @@ from m100link.sync import aircraft as sync_aircraft
 from m100link.sync import steering
 from m100link.sync.portal import Reads
 from m100link.telemetry import subscription
+from tests import limits
 
 LEFT_OUT = {
     "aclose",  # close() is the word here
@@ -84,3 +85,7 @@ def test_help_shows_what_a_program_without_await_writes(
     assert words in text
     assert other not in text
     assert not inspect.iscoroutinefunction(method)
+
+
+def test_each_limit_is_as_agreed() -> None:
+    assert limits.differences("sync") == []

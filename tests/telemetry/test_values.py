@@ -16,6 +16,7 @@ from m100link.telemetry.integrity import _Fix
 from m100link.telemetry.sample import AccelerationReader, Sample, fused_of
 from m100link.telemetry.state import AircraftState
 from m100link.telemetry.subscription import Hub, Lossless, Newest, TelemetryStream
+from tests import limits
 
 FIRMWARE = profile("3.1")
 G = 9.80665  # standard gravity, m/s² (CGPM 1901)
@@ -250,3 +251,7 @@ def test_a_notebook_has_the_track_by_latitude_and_longitude_and_each_digit(
     html = Table(names, [(113.912345678, -22.5, -0.392699081699)])._repr_html_()
     assert drawn == [[(-22.5, 113.912345678)]]
     assert "<td>113.912345678</td><td>-22.5</td><td>-0.392699081699</td>" in html
+
+
+def test_each_limit_is_as_agreed() -> None:
+    assert limits.differences("telemetry") == []

@@ -30,22 +30,9 @@ from m100link.apps.agent.messages import Event, LeaseChanged, RemoteError, State
 from m100link.apps.agent.orders import Land, Stop, TakeOff
 from m100link.apps.bus.session import LARGEST
 from m100link.apps.cli import fleet_verbs, fleet_watch
-from m100link.apps.fleet import (
-    agent,
-    asking,
-    carrier,
-    expiry,
-    identity,
-    lost_link,
-    order_log,
-    payloads,
-    pki,
-    publisher,
-)
 from m100link.apps.fleet import client as clients
 from m100link.apps.fleet.agent import FleetAgent
 from m100link.apps.fleet.keys import Keys
-from m100link.apps.fleet.logs import service
 from m100link.apps.fleet.lost_link import LostLinkPlan
 from m100link.apps.fleet.missions.manager import MissionManager
 from m100link.apps.fleet.payloads import (
@@ -65,8 +52,6 @@ from m100link.apps.fleet.payloads import (
     unpack_steer,
 )
 from m100link.apps.fleet.publisher import FleetTelemetry
-from m100link.apps.fleet.show import track_executor
-from m100link.apps.fleet.show.plan import conflicts, document, steering, track
 from m100link.errors import GuardRefused, M100Error, NotAllowed, OutcomeUnknown
 from m100link.missions.plan import WaypointPlan
 from m100link.missions.waypoint import Waypoint
@@ -80,7 +65,7 @@ from m100link.protocol.setpoint import (
     Yaw,
 )
 from m100link.telemetry.state import AircraftState
-from tests import known
+from tests import known, limits
 from tests.apps.bus.memory import MemoryNetwork
 
 pytestmark = pytest.mark.anyio
@@ -325,51 +310,6 @@ def test_a_reply_is_what_the_page_says() -> None:
     }
 
 
-# -- the numbers of the manual --------------------------------------------------------------------
-
-MANUAL = [
-    # docs/reference/fleet-wire.md
-    (payloads, "VERSION", 4),
-    (expiry, "MOST_AGE_S", 5.0),
-    (expiry, "MAX_AGE_S", 0.2),
-    (expiry, "BROKEN_S", 1.0),
-    (agent, "HOLD_S", 0.5),
-    (order_log, "KEPT_S", 600.0),
-    # docs/reference/rights.md
-    (identity, "WINDOW_S", 5.0),
-    (identity, "STOP_WINDOW_S", 600.0),
-    (identity, "LARGEST", 32 * 1024),
-    # docs/howto/secure-a-fleet.md
-    (pki, "ISSUED_DAYS", 30),
-    (pki, "AUTHORITY_DAYS", 2 * 365),
-    # docs/howto/fly-a-fleet.md
-    (asking, "PATIENCE_S", 10.0),
-    (agent, "GONE_S", 5.0),
-    (service, "RATE", 1_000_000),
-    (lost_link, "INHERITED_S", 300.0),
-    (lost_link, "KEPT_AGAIN_S", 30.0),
-    (carrier, "MOST_CLOCK_BOUND_S", 0.1),
-    (publisher, "WALL_HZ", 5.0),
-    (publisher, "STATE_S", 0.25),
-    # docs/reference/shows.md and docs/howto/fly-a-formation.md
-    (document, "CLIMB_M_S", 2.0),
-    (document, "ACCELERATION_M_S2", 1.5),
-    (document, "SKEW_S", 0.05),
-    (track, "MAX_POINTS", 10_000),
-    (conflicts, "AHEAD_S", 10.0),
-    (conflicts, "SILENT_S", 1.0),
-    (conflicts, "SETTLED_S", 8.0),
-    (track_executor, "ATTENDED_S", 10.0),
-    (steering, "MOST_EARLY_S", 120.0),
-]
-
-
-@pytest.mark.parametrize(("module", "name", "value"), MANUAL, ids=[name for _, name, _ in MANUAL])
-def test_a_limit_is_that_of_the_manual(module: Any, name: str, value: float) -> None:
-    """Other tests of it may read the limit where the code has it."""
-    assert getattr(module, name) == value
-
-
 # -- what a pilot sees ----------------------------------------------------------------------------
 
 
@@ -579,3 +519,7 @@ async def test_how_long_ago_one_was_heard_that_is_gone() -> None:
     assert told == [("kite", True, None), ("kite", False, 2.5)]
     assert fleet.present == frozenset()
     task.cancel()
+
+
+def test_each_limit_is_as_agreed() -> None:
+    assert limits.differences("apps/fleet") == []

@@ -35,6 +35,7 @@ from m100link.apps.mavlink.translator.orders import (
 )
 from m100link.missions.plan import Waypoint, WaypointPlan
 from m100link.protocol.setpoint import Setpoint
+from tests import limits
 from tests.apps.mavlink.conftest import Told
 from tests.apps.mavlink.translator.test_route import item
 from tests.known import Known
@@ -586,3 +587,7 @@ async def test_nobody_is_one_of_our_own_aircraft_and_strangers_are_not_answered(
     one.bridge.received(frame(245, "LOG_REQUEST_LIST"), HERE)
     [(data, address)] = one.sent
     assert ([two.system for two in MessageReader(data)], address) == ([7, 9], HERE)
+
+
+def test_each_limit_is_as_agreed() -> None:
+    assert limits.differences("apps/mavlink") == []

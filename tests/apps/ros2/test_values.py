@@ -50,6 +50,7 @@ from m100link.protocol.records import (
     Velocity,
 )
 from m100link.sim.clock import virtual_clock_loop
+from tests import limits
 from tests.apps.ros2.conftest import UTC
 from tests.apps.ros2.known import KnownRig
 from tests.apps.ros2.test_actions import Client
@@ -1012,3 +1013,7 @@ def test_what_came_late_is_not_made_up_for() -> None:
 
     anyio.run(listen, backend_options={"loop_factory": virtual_clock_loop})
     assert count == 3
+
+
+def test_each_limit_is_as_agreed() -> None:
+    assert limits.differences("apps/ros2") == []
