@@ -26,6 +26,7 @@ from m100link.geodesy import (
     svg_text,
     track_svg,
 )
+from tests import limits
 
 LATITUDES = [-80.0, -33.0, 0.0, 22.5, 47.0, 60.0, 80.0]
 
@@ -362,3 +363,7 @@ def test_a_scale_bar_is_as_long_as_it_says(extent: float) -> None:
     assert y0 - view.spot(1, 0)[1] == pytest.approx(metre)
     assert 40 <= long <= 100
     assert long == pytest.approx(float((words.text or "").removesuffix(" m")) * metre, abs=0.05)
+
+
+def test_each_limit_is_as_agreed() -> None:
+    assert limits.differences("geodesy") == []

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from m100link.errors.texts import read_json, read_path, read_toml
+from tests import limits
 from tests.test_house import PACKAGE, ROOT
 
 
@@ -96,3 +97,7 @@ def test_nothing_else_in_the_package_parses_texts() -> None:
         if word in path.read_text(encoding="utf-8") and path.name != "texts.py"
     }
     assert found == set()
+
+
+def test_each_limit_is_as_agreed() -> None:
+    assert limits.differences("errors") == []

@@ -23,6 +23,7 @@ from m100link.protocol.fields import (
 )
 from m100link.protocol.firmware import PROFILES
 from m100link.protocol.packet import TelemetryPacket
+from tests import limits
 from tests.known import package
 
 
@@ -165,3 +166,7 @@ def test_a_package_is_as_long_as_its_flags_say_however_often_they_were_seen(chan
     wrong = whole[:-1] if change < 0 else whole + b"\0"
     with pytest.raises(LayoutMismatch):
         TelemetryPacket(wrong, PROFILES["3.1"])
+
+
+def test_each_limit_is_as_agreed() -> None:
+    assert limits.differences("protocol") == []

@@ -14,6 +14,7 @@ from hypothesis.stateful import Bundle, RuleBasedStateMachine, invariant, precon
 from m100link.errors import PayloadTooLarge, UsageError
 from m100link.session import Acked, Endpoint, Event, Expired, Receiver, Sender, SessionMode
 from m100link.wire import Cipher, Frame, FrameDecoder, encode_frame
+from tests import limits
 from tests.support import KEY
 
 
@@ -636,3 +637,7 @@ def test_an_ack_that_does_not_fit_is_refused_and_leaves_the_command_unanswered()
         receiver.acknowledge(command(2, 7), bytes(1008), now=0)
     receiver.acknowledge(command(2, 7), b"shorter", now=0)
     assert [frame.data for frame in sent(receiver)] == [b"shorter"]
+
+
+def test_each_limit_is_as_agreed() -> None:
+    assert limits.differences("session") == []

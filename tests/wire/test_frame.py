@@ -11,6 +11,7 @@ import pytest
 from m100link.errors import PayloadTooLarge, UsageError
 from m100link.wire import MAX_DATA_SIZE, Cipher, Discard, Frame, FrameDecoder, encode_frame
 from m100link.wire import frame as module
+from tests import limits
 from tests.support import (
     KEY,
     all_frames,
@@ -515,3 +516,7 @@ def test_a_frame_with_any_wrong_checksum_is_not_delivered(bit: int) -> None:
         found, decoder = decode(raw_frame(b"\x02\x01\x04", sequence=sequence, crc32_error=1 << bit))
         assert found == []
         assert decoder.discards[Discard.FRAME_CRC] == 1
+
+
+def test_each_limit_is_as_agreed() -> None:
+    assert limits.differences("wire") == []
