@@ -49,7 +49,10 @@ MAP_SHARE = """() => {
   return 100 * map / all;
 }"""
 
-TOP = ("#banner", *(f"#values [data-field={name}]" for name in ("battery", "gps", "height", "climb")))
+TOP = (
+    "#banner",
+    *(f"#values [data-field={name}]" for name in ("battery", "gps", "height", "climb")),
+)
 TOP += ("#values [data-field=speed]", "#values [data-field=age]", "[data-act=stop]", "#strip")
 """What stands in every view."""
 
