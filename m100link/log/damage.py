@@ -26,6 +26,7 @@ class Damage:
             together, so a time may be half a second off.
         is_changed: The checksum of the whole file is wrong, though each of its parts can be read.
         is_ended: Whether the end is there.
+        is_written: Whether a program was still writing the file without an end.
         cut_bytes: Size of the unfinished record at the end of a file without one.
         began_utc, ended_utc: POSIX time of the first message and of the newest, s; None when there
             is none.
@@ -36,6 +37,7 @@ class Damage:
     spans_utc: tuple[tuple[float | None, float | None], ...] = ()
     is_changed: bool = False
     is_ended: bool = True
+    is_written: bool = False
     cut_bytes: int = 0
     began_utc: float | None = None
     ended_utc: float | None = None
@@ -68,12 +70,11 @@ class Damage:
             said.append(f"{count} missing")
         if self.spans_utc:
             said.append(f"missing is from {_some([self._said(*one) for one in self.spans_utc])}")
-        if not self.is_ended:
-            said.append(
-                "its end is missing"
-                if self
-                else "it has no end: its process was killed or had no more disk, or writes it still"
-            )
+        if self.is_written:
+            said.append("it is still being recorded")
+        elif not self.is_ended:
+            ended = "it ended without being closed: its process was killed, or had no more disk"
+            said.append("its end is missing" if self else ended)
         return "; ".join(said) or "nothing is missing"
 
     def _said(self, begin: float | None, end: float | None) -> str:

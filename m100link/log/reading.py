@@ -8,7 +8,7 @@ import os
 from bisect import bisect_left, insort
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib import import_module
 from itertools import islice
@@ -21,6 +21,7 @@ from m100link.errors.texts import read_json, read_path
 from m100link.link import Direction
 from m100link.log.channels import CHUNKS, EVENT, LINK, RX, SCHEMAS, TX, is_telemetry
 from m100link.log.damage import Damage, Losses
+from m100link.log.recorder import is_being_written
 from m100link.log.records import (
     MAGIC,
     PART_SIZE,
@@ -178,7 +179,9 @@ class FlightLog:
                 elif type(record) is RecordedChannel:
                     names[record.id] = record.topic
         if self._damage is None and since_utc <= 0.0:
-            self._damage = losses.damage()
+            damage = losses.damage()
+            is_written = not damage.is_ended and is_being_written(self.path)
+            self._damage = replace(damage, is_written=is_written)
             if self._damage or not self._damage.is_ended:
                 _logger.warning("%s: %s", self.path, self._damage)
 
@@ -452,9 +455,9 @@ def _chunks(message: Message) -> dict[str, Any]:
         and isinstance(offsets, list)
         and isinstance(lengths, list)
         and len(offsets) == len(lengths)
-        and set(map(type, (*offsets, *lengths))) <= {int}
-        and min((*offsets, *lengths), default=0) >= 0
-        and max((*offsets, *lengths), default=0) <= _MOST_PLAUSIBLE
+        and set(map(type, numbers := offsets + lengths)) <= {int}
+        and min(numbers, default=0) >= 0
+        and max(numbers, default=0) <= _MOST_PLAUSIBLE
     ):
         raise _foreign(message.topic)
     return content

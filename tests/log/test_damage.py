@@ -247,8 +247,9 @@ def test_the_end_of_a_file_counts_what_no_number_shows() -> None:
         (Damage(), "nothing is missing"),
         (
             Damage(is_ended=False),
-            "it has no end: its process was killed or had no more disk, or writes it still",
+            "it ended without being closed: its process was killed, or had no more disk",
         ),
+        (Damage(is_ended=False, is_written=True), "it is still being recorded"),
         (
             Damage(places=((1000, 2500),)),
             "1,500 bytes are damaged (bytes 1,000 to 2,499); no message is missing",

@@ -351,6 +351,7 @@ def test_a_process_that_is_killed_loses_a_second_at_most(tmp_path: Path) -> None
         before = kept_waiting_altogether(process.pid)
         told += [process.stdout.readline() for _ in range(100)]
         late = kept_waiting_altogether(process.pid) - before
+        assert str(read(path).damage) == "it is still being recorded"
         process.kill()
         lived = float([*told, *process.stdout.read().split()][-1])
     log = read(path)
@@ -360,6 +361,7 @@ def test_a_process_that_is_killed_loses_a_second_at_most(tmp_path: Path) -> None
     assert lost < 1.0
     assert lost < 1.0 + late, "late: because others ran"
     assert not log.summary().is_whole
+    assert not log.damage.is_written
 
 
 FLIES_ON = """

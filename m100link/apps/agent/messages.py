@@ -310,6 +310,7 @@ class Replay:
     is_paused: bool  #: whether it stands still on purpose
     is_at_end: bool  #: whether everything was played
     is_cut_off: bool  #: whether the file was not ended
+    is_written: bool = False  #: whether it was still being recorded when the replay began
 
     def time(self, newest_at: float | None) -> float:
         """Its clock for a front whose newest package is of that time, s.

@@ -71,6 +71,7 @@ class Replays:
             is_paused=player.is_paused,
             is_at_end=player.is_at_end,
             is_cut_off=not player.begin.is_ended,
+            is_written=player.begin.damage.is_written,
         )
 
     async def order(self, text: str) -> None:

@@ -238,7 +238,7 @@ def replay_of(
         percent = int(100.0 * share)
         note = tr("replay.unread", why=fault) if fault else tr("replay.reading", percent=percent)
     if source.is_at_end and source.is_cut_off:
-        note = tr("replay.cut_off")
+        note = tr("replay.written" if source.is_written else "replay.cut_off")
     return ReplayView(
         title=tr("replay.title", name=PurePath(source.path).name),
         place=tr(

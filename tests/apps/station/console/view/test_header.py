@@ -392,7 +392,11 @@ def test_the_bar_says_what_is_played_and_where_it_is() -> None:
     [
         ({"is_paused": True}, None),
         ({"is_at_end": True}, "at its end"),
-        ({"is_at_end": True, "is_cut_off": True}, "the recording was cut off"),
+        ({"is_at_end": True, "is_cut_off": True}, "the recording ended without being closed"),
+        (
+            {"is_at_end": True, "is_cut_off": True, "is_written": True},
+            "still being recorded: what came later is not in it",
+        ),
     ],
 )
 def test_one_that_stands_says_why(changes: dict[str, bool], note: str | None) -> None:
