@@ -40,12 +40,12 @@ def read_json(
     decoded = text if isinstance(text, str) else text.decode()
     if isinstance(text, str) and not text.isascii():
         text.encode()
-    whole = _whole if _MANY_DIGITS.search(decoded) else None
+    whole = _whole if len(decoded) >= _MOST_DIGITS and _MANY_DIGITS.search(decoded) else None
     try:
         value = json.loads(
             decoded, parse_int=whole, parse_constant=constant, object_pairs_hook=pairs
         )
-        if _HALF.search(decoded):
+        if "\\u" in decoded and _HALF.search(decoded):
             json.dumps(value, ensure_ascii=False, default=repr).encode()
     except RecursionError:
         raise ValueError("it is nested too deeply") from None
