@@ -2,8 +2,8 @@
 
 Many tests take a limit from the module that they test, and hold whatever it says. So each number of
 the package stands in that table, too, that a module gives a name in capitals, with rows and short
-tables of words, and what a field or an argument has by default, words and switches, too, but nothing
-that is 0, off or empty. A change of one is a change of two files, and a reader sees it.
+tables of words, and what a field or an argument has by default, words and switches, too, but
+nothing that is 0, off or empty. A change of one is a change of two files, and a reader sees it.
 Behaviour at a limit is a test of its module.
 
 ``python -m tests.limits`` prints what the table lacks, for a reader to agree with.
@@ -78,6 +78,8 @@ def tables(program: ast.Module) -> Iterator[tuple[str, object]]:
 def as_toml(value: object) -> object:
     if isinstance(value, dict):
         return {str(key): as_toml(part) for key, part in value.items()}
+    if isinstance(value, bytes):
+        return value.hex()  # TOML has none
     return [as_toml(part) for part in value] if isinstance(value, tuple | list) else value
 
 
