@@ -88,14 +88,12 @@ async def test_a_replay_that_is_sought_claims_what_its_file_says(
     chance = random.Random(seed)
     async with replayed(browser, flight) as page:
         await page.wait_for_function("window.m100?.map?.track.length > 5")
-        drawn = (await page.evaluate(RUNS))["longest"]  # of the whole track, thinned
         await page.add_init_script(f"({WATCH})()")
         await page.evaluate(WATCH)
         for _ in range(SEEKS):
             await seek(page, chance)
         seen = json.loads(await page.evaluate("sessionStorage.seen"))
-    print(f"seed {seed}: {seen}, at first {drawn:.2f} m")  # noqa: T201 - for the manual
+    print(f"seed {seed}: {seen}")  # noqa: T201 - for the manual
     assert seen["looks"] > SEEKS
     assert set(seen["alarms"]) <= {one.name for one in story.alarms}
-    assert drawn < LONGEST_M
-    assert seen["longest"] <= drawn + 0.01, "a line that was never flown"
+    assert seen["longest"] < LONGEST_M, "a line that was never flown"
