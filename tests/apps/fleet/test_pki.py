@@ -395,6 +395,8 @@ RULES = {
         ("egress", "declare_subscriber", keys("*", "place")),
         ("ingress", "declare_subscriber", keys("*", "place")),
         ("egress", "put", keys("*", "place")),
+        ("ingress", "query", keys("a1", "state")),
+        ("egress", "declare_queryable reply", keys("a1", "state")),
         (
             "ingress",
             "liveliness_token liveliness_query declare_liveliness_subscriber",

@@ -15,6 +15,7 @@ import io
 import json
 import math
 import struct
+import time
 from types import SimpleNamespace
 from typing import Any, cast
 from unittest.mock import AsyncMock, MagicMock, call
@@ -320,7 +321,8 @@ def printed(table: Any) -> list[list[str]]:
     return [[cell.strip() for cell in line.split("  ") if cell.strip()] for line in lines]
 
 
-def test_the_list_of_the_fleet() -> None:
+def test_the_list_of_the_fleet(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(time, "time", lambda: AT)  # else its clock is told to be behind
     rows = printed(fleet_verbs._table(["kite"], {"kite": card(heard(), task="going home")}))
     assert rows == [
         ["name", "link", "phase", "height", "battery", "flies", "control", "when lost"],
@@ -413,21 +415,23 @@ async def test_a_connection_to_a_fleet_has_the_names_and_times_of_its_caller(
     more = {"transport/x": "1"}
     async with clients.connect("tcp/a:1", "tcp/b:2", options=more, **given) as fleet:
         assert fleet is made.return_value.__aenter__.return_value
-    opened.assert_called_once_with("client", connect=("tcp/a:1", "tcp/b:2"), options=more)
+    opened.assert_called_once_with(
+        "client", connect=("tcp/a:1", "tcp/b:2"), options=more, authority=None
+    )
     made.assert_called_once_with(opened.return_value.__aenter__.return_value, **given)
 
 
 @pytest.mark.parametrize("mode", ["client", "router"])
-def test_a_session_of_a_fleet_meets_named_endpoints_alone(
+async def test_a_session_of_a_fleet_meets_named_endpoints_alone(
     mode: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     opened = MagicMock()
     monkeypatch.setattr(clients, "open_session", opened)
     is_router = mode == "router"
     own = {"scouting/gossip/enabled": "true", "x": "1"}
-    clients.open_fleet(
-        mode, connect=("tcp/a:1",), listen=("tcp/b:2",), options=own, is_patient=is_router
-    )
+    places: dict[str, Any] = {"connect": ("tcp/a:1",), "listen": ("tcp/b:2",)}
+    async with clients.open_fleet(mode, **places, options=own, is_patient=is_router) as bus:
+        assert bus.session == opened.return_value.__aenter__.return_value.session
     [opening] = opened.call_args.args
     assert opening.options == {
         "mode": f'"{mode}"',
