@@ -575,7 +575,8 @@ def test_the_screen_of_a_simulator_has_degrees_metres_and_signs() -> None:
 # -- a fleet on the screen ------------------------------------------------------------------------
 
 
-def test_cards_are_told_with_their_units() -> None:
+def test_cards_are_told_with_their_units(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(time, "time", lambda: 0.0)  # else their clocks are told to be behind
     cards = {
         "a1": Card(
             "a1", "run", 0.0, "connected", holder="anna", task="land", phase="in air",
