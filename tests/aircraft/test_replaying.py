@@ -211,7 +211,7 @@ async def test_a_file_that_was_not_ended_plays_what_is_there_and_says_so(path: P
     cut = copied(path, "cut.mcap", 40_000)
     seen, ended = await played(f"replay://{cut}?speed=max")
     assert len(seen) > 100
-    assert "the file is not whole: it has no end" in ended.cause
+    assert "the file is not whole: it ended without being closed" in ended.cause
 
 
 @pytest.mark.parametrize("policy", [Latest(), Newest(3), Lossless(1), Lossless(50)], ids=repr)

@@ -37,7 +37,7 @@ JOURNAL_LOG = __name__
 
 _logger = logging.getLogger(JOURNAL_LOG)
 
-VERSION = 16
+VERSION = 17
 """Of these messages. Both ends name theirs in :class:`Hello` and part when they differ."""
 
 LEVELS = ("info", "warning", "error")

@@ -155,7 +155,7 @@ async def test_pause_resume_speed_and_stop(rig: Rig) -> None:
     )
 
 
-async def test_while_it_flies_setpoints_and_tasks_are_refused_and_it_flies_on(rig: Rig) -> None:
+async def test_while_it_flies_setpoints_are_refused_and_a_landing_ends_it(rig: Rig) -> None:
     page = await rig.airborne()
     await upload(rig, page)
     await act(rig, page, START)
@@ -163,12 +163,15 @@ async def test_while_it_flies_setpoints_and_tasks_are_refused_and_it_flies_on(ri
     page.publish("/sdk_request_ctrl_mode", data=2)
     page.publish("/sdk_request_ctrl", x=1, y=0, z=0, w=0)
     page.publish("/sdk_request_ctrl", x=0, y=0, z=0, w=0)  # letting go says nothing
-    refused = await answer(rig, page, "drone_task_control", task=6)
+    refused = await answer(rig, page, "drone_task_control", task=4)
     assert "while a mission flies" in refused["values"]
     assert any("while a mission flies" in text for text in page.statuses())
     await anyio.sleep(2.0)
     assert is_flying(rig)
     assert "while a mission flies" in (await act(rig, page, START))["values"]
+    assert (await answer(rig, page, "drone_task_control", task=6))["result"]
+    await rig.until(lambda: not is_flying(rig), within=5.0)
+    await rig.until(lambda: rig.aircraft.height < 0.1, within=60.0)
 
 
 @pytest.mark.parametrize("how", ["leaves", "closes", "stop button", "halt"])

@@ -812,7 +812,7 @@ def status(**changed: Any) -> Any:
     usual: dict[str, Any] = {"problem": None, "replay": None, "actions": set()}
     shown_by = {name: changed.pop(name, value) for name, value in usual.items()}
     reading = SimpleNamespace(text=said("a value"), note=said("old"), is_stale=True)
-    names = ("battery", "gps", "height", "speed", "flight_time")
+    names = ("battery", "gps", "height", "climb", "speed", "flight_time")
     readings = dict.fromkeys(names, reading) | {
         "flight_status": SimpleNamespace(text=said("in the air"), note=None, is_stale=False)
     }
