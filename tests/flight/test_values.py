@@ -11,14 +11,16 @@ from unittest.mock import AsyncMock, MagicMock, call
 
 import pytest
 
-from m100link.errors import UsageError
+from m100link.errors import TaskRefused, UsageError
 from m100link.flight import control as controls
 from m100link.flight.control import Control
 from m100link.flight.guidance import GuidanceProgress
 from m100link.flight.loops import ClosedLoops
 from m100link.flight.pacing import Tick
+from m100link.flight.tasks import switch_motors
 from m100link.geodesy import LocalFrame
-from m100link.protocol.commands.control import Task
+from m100link.protocol.codes import ArmCode
+from m100link.protocol.commands.control import Arm, Task
 from m100link.protocol.setpoint import Setpoint
 from m100link.sim import VirtualClockEventLoop
 from m100link.telemetry.state import AircraftState
@@ -363,3 +365,21 @@ async def test_a_task_of_the_autopilot_has_its_time_and_its_listener(
 
 def test_each_limit_is_as_agreed() -> None:
     assert limits.differences("flight") == []
+
+
+@pytest.mark.parametrize("on", [True, False])
+@pytest.mark.parametrize(
+    ("answer", "ends"),
+    [(ArmCode.DONE, True), (ArmCode.ALREADY, True), (ArmCode.IN_THE_AIR, False)],
+)
+async def test_motors_are_asked_for_three_times_a_fifth_of_a_second_apart(
+    answer: ArmCode, ends: bool, on: bool
+) -> None:
+    commander: Any = MagicMock()
+    commander.requests.execute = AsyncMock(return_value=answer)
+    commander.state = AircraftState(lambda: 0.0)
+    with nullcontext() if ends else pytest.raises(TaskRefused):
+        await switch_motors(commander, on=on)
+    commander.requests.execute.assert_awaited_once_with(
+        Arm(on), timeout=0.2, tries=3, refusal=TaskRefused
+    )

@@ -7,6 +7,7 @@ import io
 import logging
 import random
 import shlex
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -16,6 +17,7 @@ import pytest
 from cyclopts import App
 
 import m100link
+from m100link.apps.cli import end_at_once
 from m100link.apps.cli.app import EXAMPLES, VERBS, app, application
 from m100link.apps.cli.terminal import ExitCode
 from tests.apps.cli.conftest import CommandLine
@@ -341,3 +343,16 @@ def test_a_missing_app_is_reported_before_a_port_is_opened(cli: CommandLine, ver
     outcome = cli(verb, "/dev/no-such-port")
     assert outcome.status == ExitCode.USAGE
     assert "no app id was given" in outcome.err
+
+
+def test_ctrl_c_ends_a_verb_by_its_stop_path_and_not_at_once(cli: CommandLine) -> None:
+    """Before a verb is known, Ctrl-C ends the program in one line; a verb that flies has more."""
+    before = signal.signal(signal.SIGINT, end_at_once)
+    try:
+        cli("udev", "--name", "left")
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # as a shell sets it for a job behind `&`
+        cli("udev", "--name", "left")
+        assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGINT, before)

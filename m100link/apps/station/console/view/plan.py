@@ -118,7 +118,6 @@ class Draft:
                 photo_every=photo_every,
                 speed=self.speed,
                 start=start,
-                at_end=self.at_end,
             )
         )
 
@@ -142,7 +141,6 @@ class Draft:
                 photo_every=photo_every,
                 speed=self.speed,
                 start=start,
-                at_end=self.at_end,
             )
         )
 
