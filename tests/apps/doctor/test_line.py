@@ -8,6 +8,10 @@ up less than 200 bytes; a port keeps at most 8 KiB from before.
 from __future__ import annotations
 
 import random
+from collections.abc import Awaitable, Callable
+from types import SimpleNamespace
+from typing import Any
+from unittest.mock import AsyncMock
 
 import pytest
 from hypothesis import given
@@ -288,3 +292,28 @@ def test_no_bytes_raise(data: bytes) -> None:
     heard = hear(data)
     heard.likeness()
     assert heard.details()["bytes"] == len(data)
+
+
+@pytest.mark.parametrize(
+    ("url", "listens_on"), [("/dev/ttyUSB0", False), ("tcp://h:1", True), ("udp://h:1", True)]
+)
+async def test_a_network_that_is_silent_is_listened_to_for_longer_and_a_port_is_not(
+    url: str, listens_on: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    heard_for: list[str] = []
+
+    def listener(name: str) -> Callable[[Any], Awaitable[Heard]]:
+        async def listen(_: Any) -> Heard:
+            heard_for.append(name)
+            return hear(b"")
+
+        return listen
+
+    async def opened(_: ConnectionString) -> Any:
+        return SimpleNamespace(is_lost=False, close=AsyncMock())
+
+    monkeypatch.setattr(line, "open_ear", opened)
+    monkeypatch.setattr(line, "_listen", listener("first"))
+    monkeypatch.setattr(line, "_listen_on", listener("longer"))
+    await line.look_at_line(parse_url(url))
+    assert heard_for == ["first", "longer"][: 1 + listens_on]
