@@ -382,6 +382,24 @@ def test_a_pause_hovers_and_changes_nothing_about_the_rest(after: float) -> None
     assert math.dist(track[-1], SQUARE[-1]) < 0.5
 
 
+def test_after_a_pause_on_its_way_there_it_flies_straight_to_the_first_point() -> None:
+    program = host()
+    program.take_off()
+    program.motion.place(-30.0, 0.0, 10.0)
+    begin(program, POINTS)
+    wait_for(program, WaypointPhase.APPROACH)
+    assert program.ask(WaypointPauseResume(0)) == OK
+    program.wait(3.0)
+    program.motion.place(-20.0, 15.0, 10.0)  # the pilot moves it
+    assert program.ask(WaypointPauseResume(1)) == OK
+    track = []
+    while phase(program) is WaypointPhase.APPROACH:
+        program.wait(0.05)
+        track.append(where(program))
+    assert farthest_beside(track, [(-20, 15, 10), (0, 0, 10)]) < 0.5
+    assert math.dist(track[-1], (0, 0, 10)) < 0.5
+
+
 # --- the long one ---------------------------------------------------------------------------
 
 
