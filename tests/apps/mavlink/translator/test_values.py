@@ -30,6 +30,7 @@ from m100link.apps.mavlink.translator.vehicle_state import (
 )
 from m100link.geodesy import LocalFrame
 from m100link.protocol.records import FlightStatus, Position, Velocity
+from m100link.protocol.setpoint import Setpoint
 from tests.apps.mavlink.conftest import session_of
 from tests.known import LATITUDE, LONGITUDE, Known, position
 
@@ -390,6 +391,20 @@ def vehicle(*values: Any, **state: Any) -> MavlinkVehicle:
     known.state = replace(known.state, **state)
     known.note = lambda *_: None
     return MavlinkVehicle(known, session_of(known), 1, 12)
+
+
+def test_sticks_are_speeds_in_position_mode_and_tilts_in_altitude_mode() -> None:
+    """As in PX4: POSCTL holds the place when they are let go of, ALTCTL does not."""
+    half = {"x": 500, "y": 0, "z": 500, "r": 0}
+    one = vehicle()
+    flown = {}
+    for mode in (Mode.POSCTL, Mode.ALTCTL):
+        one._manual[mode].receive(MavlinkMessage("MANUAL_CONTROL", half), 2.5)
+        flown[mode] = one._manual[mode].setpoint(2.5)
+    assert flown == {
+        Mode.POSCTL: Setpoint.velocity(forward=2.5, right=0.0, up=0.0, yaw_rate_deg_s=0.0),
+        Mode.ALTCTL: Setpoint.tilt(roll_deg=0.0, pitch_deg=-7.5, up=0.0, yaw_rate_deg_s=0.0),
+    }
 
 
 def answers(one: MavlinkVehicle, name: str, at: float = 2.5, **fields: Any) -> list[MavlinkMessage]:
