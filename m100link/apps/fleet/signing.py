@@ -30,6 +30,7 @@ from cryptography.x509.oid import NameOID
 
 from m100link.apps.agent.background import TaskSet
 from m100link.apps.bus.network import DEPTH, Bus, Held, Outlet, QueryAnswer, Question, Settles
+from m100link.apps.fleet.asking import Sign
 from m100link.apps.fleet.identity import Gate, Rights, Signer, Since, nobody
 from m100link.apps.fleet.keys import name_in
 from m100link.apps.fleet.payloads import VERSION, OrderMessage
@@ -39,7 +40,6 @@ from m100link.link.keyfile import read_key
 
 if TYPE_CHECKING:
     from m100link.apps.fleet.agent import Verify
-    from m100link.apps.fleet.asking import Sign
 
 _logger = logging.getLogger(__name__)
 
