@@ -88,7 +88,7 @@ async def test_a_quick_look_at_a_drawn_flight_has_what_the_whole_one_has(
     seed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Legs, faults and damage of the line by the seed; each value within what moves meanwhile."""
-    chance, interval_s = random.Random(seed), 0.5
+    chance, interval_s = random.Random(seed), 1.0
     aircraft = VirtualAircraft(seed=seed, app_id=APP_ID, key=KEY, faults=LineFaults(damage=0.002))
     monkeypatch.setattr(driver, "aircraft_of", lambda _: aircraft)
     with contextlib.suppress(M100Error):

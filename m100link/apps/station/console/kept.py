@@ -257,8 +257,8 @@ COMMANDED = {
 }
 """Numbers that setpoints command, by the numbers that follow them."""
 
-INTERVAL_S, LONG_INTERVAL_S = 0.2, 0.5  # between packages that are looked into
-LARGE = 20_000_000  # bytes of a file, about half an hour, from which on it is the longer one
+INTERVAL_S, LONG_INTERVAL_S = 0.2, 1.0  # between packages that are looked into
+LARGE = 100_000_000  # bytes of a file, about an hour and a half, from which on it is the longer one
 FIRST_S = 30.0  # of a flight after which a page has the first part
 MOST_ROWS = 10_000  # of a recorded flight: with more, every second one is dropped
 _FLOWN_FOR_S = 0.5  # after a setpoint nothing is commanded any more
@@ -404,7 +404,8 @@ def analyse(
 
     try:
         flight = read(path)
-        interval_s = LONG_INTERVAL_S if flight.path.stat().st_size > LARGE else INTERVAL_S
+        interval_s = LONG_INTERVAL_S * flight.path.stat().st_size / LARGE
+        interval_s = min(max(INTERVAL_S, interval_s), LONG_INTERVAL_S)
         story = read_story(flight, firmware=firmware or None, interval_s=interval_s, listener=hear)
     except M100Error as error:
         return error.seen
