@@ -123,6 +123,8 @@ class OrderExecutor:
                 return
             try:
                 await self._session.ask(command.order)
+                if command.flight is not None and self._flights.is_due(command):
+                    self._manager.way_made()
             except errors.M100Error as error:
                 self._flights.failed(command, error)
 
@@ -190,6 +192,7 @@ class OrderExecutor:
         elif self._owes_a_stop or self._world.flies_mission:
             await self._ask(orders.StopMission(), lease)
         self._owes_a_stop = False
+        self._manager.way_made()
 
     async def _take_off(self, order: TakeOffAndClimb, lease: Lease | None) -> None:
         await self._ask(orders.TakeOff(), lease)
@@ -203,6 +206,7 @@ class OrderExecutor:
         with suppress(errors.AckTimeout, errors.MissionRefused):
             # The agent reports it; and a landing breaks off what a stop did not end.
             await self._make_way(lease, order.is_interrupting)
+        self._manager.way_made()
         self._agent.hover("landing", self._session.lease)
         await self._ask(orders.Land(), lease)
 

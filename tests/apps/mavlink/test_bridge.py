@@ -24,6 +24,7 @@ from m100link.apps.mavlink.translator.numbers import MavCommand, MavResult
 from m100link.apps.mavlink.translator.parameters import PARAMETERS
 from m100link.apps.mavlink.translator.route import ITEMS
 from m100link.apps.mavlink.translator.vehicle_state import MODES, Mode
+from m100link.sim.vehicle.flight import Maneuver
 from tests.apps.mavlink.conftest import Ground, Rig
 
 pytestmark = pytest.mark.anyio
@@ -144,6 +145,20 @@ async def test_a_landing_during_the_take_off_waits_and_nothing_pushes_it_out(
     assert await ground.set_mode(Mode.HOLD) is MavResult.TEMPORARILY_REJECTED
     await rig.until(lambda: not ground.armed())
     assert rig.height < 0.1
+
+
+async def test_a_way_home_is_shown_until_its_end_was_heard() -> None:
+    """On a slow way to the agent it climbs and flies on for seconds behind an accepted hold."""
+    async with Rig(late=0.5).running() as rig:
+        ground = rig.ground
+        await ground.fly(5.0)
+        assert await ground.set_mode(Mode.RTL) is MavResult.ACCEPTED
+        flight = rig.aircraft.vehicle.flight
+        await rig.until(lambda: flight.maneuver is not Maneuver.NONE)
+        assert await ground.set_mode(Mode.HOLD) is MavResult.ACCEPTED
+        while ground.mode is not Mode.HOLD:  # noqa: ASYNC110 - virtual time
+            await anyio.sleep(0.02)
+        assert flight.maneuver is Maneuver.NONE
 
 
 async def test_hold_ends_the_way_home(rig: Rig, ground: Ground) -> None:

@@ -66,6 +66,7 @@ class Agent:
         self.is_due: Callable[[Any], bool] = lambda _: True
         self.name = ""
         self.orders: list[Any] = []
+        self.ways_made: list[tuple[Any, ...]] = []  # the call before each
         self.known = SimpleNamespace(view=self)
         one: Any = self
         self.session = one
@@ -77,6 +78,8 @@ class Agent:
 
     def __getattr__(self, name: str) -> Callable[..., None]:
         """Any other call is one to manager, session or flights, which is only noted."""
+        if name == "way_made":
+            return lambda: self.ways_made.append(self.log[-1])
         return lambda *given, **named: self.log.append((name, *given, *named.values()))
 
     async def ask(self, order: Any, lease: Any = "", accepted: Any = None, at: Any = None) -> None:
@@ -173,6 +176,30 @@ async def test_a_way_down_ends_what_the_aircraft_flies_by_itself(
         ("hover", why, "lease"),
         (task, "lease", at + 0.25),
     ]
+
+
+@pytest.mark.parametrize(
+    "order", [LandInPlace(is_interrupting=True), HoldPosition(is_interrupting=True)]
+)
+async def test_a_task_has_ended_when_control_is_held_again(
+    agent: Agent, order: VehicleOrder
+) -> None:
+    agent.lasts = {orders.Obtain: 5.0}
+    await agent.carries_out(order, within=4.9)
+    assert agent.ways_made == []
+    await anyio.sleep(0.2)
+    assert agent.ways_made[0][0] == orders.Obtain()
+
+
+@pytest.mark.parametrize("flight", [None, FlightSequence(())])
+async def test_a_mission_is_paused_when_the_aircraft_has_answered(
+    agent: Agent, flight: FlightSequence | None
+) -> None:
+    agent.lasts = {orders.PauseMission: 5.0}
+    await agent.carries_out(MissionCommand(orders.PauseMission(), flight), within=4.9)
+    assert agent.ways_made == []
+    await anyio.sleep(0.2)
+    assert len(agent.ways_made) == (flight is not None)
 
 
 @pytest.mark.parametrize(("order", "why", "task"), DOWN)

@@ -50,6 +50,8 @@ _TO_THE_GROUND = (Mode.LAND, Mode.RTL)
 _ENDS = (Mode.HOLD, *_TO_THE_GROUND)
 _CALLED_OFF = "the take-off is being called off: if it starts all the same, the aircraft lands"
 _REFUSED = {ModeVerdict.DENY: MavResult.DENIED, ModeVerdict.REJECT: MavResult.TEMPORARILY_REJECTED}
+_TO_BE_ENDED = (FlightSource.LAND, FlightSource.GO_HOME, FlightSource.MISSION, FlightSource.PAUSED)
+"""These fly on until the aircraft has heard their end."""
 _CONTROLLED = (VehiclePhase.ARMED, VehiclePhase.AIRBORNE)
 
 
@@ -77,6 +79,8 @@ class FlightModeManager:
         self._mode = Mode.HOLD
         # The order under way; what ends later than the one that replaced it means nothing.
         self._current: VehicleOrder | None = None
+        # The order that still has to end a flight, and the mode that is shown until then.
+        self._making_way: tuple[VehicleOrder | None, Mode] = None, Mode.HOLD
         # Begins when the autopilot's take-off is over.
         self._waiting: ModeRequest | None = None
         # Begins when the aircraft is armed, until a time.
@@ -102,10 +106,21 @@ class FlightModeManager:
         if phase is VehiclePhase.AIRBORNE and self._is_flown_by_a_stranger:
             return Mode.MISSION
         if phase in _CONTROLLED or self._is_interrupting:
-            return Mode.HOLD if self._mode is Mode.GOTO else self._mode
+            shown = self._mode_flown
+            return Mode.HOLD if shown is Mode.GOTO else shown
         if self._remembered is not None and phase in (VehiclePhase.DISARMED, VehiclePhase.FREE):
             return self._remembered[0].mode
         return self._world.mode_of_others()
+
+    @property
+    def _mode_flown(self) -> Mode:
+        """The mode requested last, or the one that still flies: its end was not heard yet."""
+        order, flown = self._making_way
+        return self._mode if order is None or order is not self._current else flown
+
+    def way_made(self) -> None:
+        """The flight before the current order has ended."""
+        self._making_way = None, Mode.HOLD
 
     @property
     def flight(self) -> FlightSequence | None:
@@ -217,6 +232,7 @@ class FlightModeManager:
         ):
             self._begin(replace(request, order=replace(request.order, is_interrupting=True)))
         elif step is ModeTransition.PAUSE and self.flight is not None:
+            self._making_way = self.flight, self._mode
             self._mode, self.running = request.mode, FlightSource.PAUSED
             self.orders.append(MissionCommand(PauseMission(), self.flight))
         elif step is ModeTransition.RESUME and self.flight is not None and not request.is_anew:
@@ -227,8 +243,11 @@ class FlightModeManager:
         return MavResult.ACCEPTED
 
     def _begin(self, request: ModeRequest) -> None:
+        flown = self._mode_flown
         self._waiting, self._mode, self._idle_since = None, request.mode, None
         order = request.order
+        if self.running in _TO_BE_ENDED:
+            self._making_way = order, flown
         if order is None:
             # A mission of a lost client ignores setpoints, too.
             flies = self.running is FlightSource.FLIGHT or self.is_flown_by_aircraft
@@ -335,6 +354,7 @@ class FlightModeManager:
             return
         is_paused = self.running is FlightSource.PAUSED
         self.running = flight.then.running
+        self.way_made()
         self._mode = Mode.LAND if isinstance(flight.then, LandInPlace) else Mode.RTL
         if is_paused:  # it was there before the pause: what it flies now knows none
             self.interrupt("hold: the mission is over")

@@ -191,7 +191,6 @@ def test_a_wish_over_what_flies(running: FlightSource, mode: Mode) -> None:
         assert order.is_interrupting
     if step is ModeTransition.PAUSE:
         assert (manager.orders, manager.running) == ([PAUSE], FlightSource.PAUSED)
-        assert manager.mode is Mode.HOLD
     if step is ModeTransition.RESUME:
         assert (manager.orders, manager.running) == ([RESUME], FlightSource.MISSION)
         assert manager.mode is Mode.MISSION
@@ -207,6 +206,33 @@ def test_a_wish_over_what_flies(running: FlightSource, mode: Mode) -> None:
         assert manager.running is FlightSource.TAKE_OFF, "it was another order that is over"
         manager.took_off(flying.order, 1.0)
         assert manager.running is not FlightSource.TAKE_OFF
+
+
+_UNTIL_HEARD = (ModeTransition.INTERRUPT, ModeTransition.STOP, ModeTransition.PAUSE)
+
+
+@pytest.mark.parametrize("mode", [mode for mode, order in ORDERS.items() if order is not None])
+@pytest.mark.parametrize("running", FlightSource)
+def test_a_mode_is_shown_once_what_flew_before_has_ended(running: FlightSource, mode: Mode) -> None:
+    """HOLD stood in the heartbeat while the aircraft went on down."""
+    manager, _, _ = manager_in(VehiclePhase.AIRBORNE)
+    if RUNNING[running][mode] not in _UNTIL_HEARD or mode is Mode.TAKEOFF:
+        return
+    let_fly(manager, running)
+    manager.way_made()
+    before = shown(manager)
+    manager.request_mode(ModeRequest(mode, ORDERS[mode], PEER), 0.0)
+    assert shown(manager) is before
+    manager.way_made()
+    assert shown(manager) is (Mode.HOLD if mode is Mode.GOTO else mode)
+
+
+def test_a_mode_of_an_order_that_another_replaced_is_shown_no_more() -> None:
+    manager, _, _ = manager_in(VehiclePhase.AIRBORNE)
+    let_fly(manager, FlightSource.GO_HOME)
+    manager.request_mode(ModeRequest(Mode.HOLD, HoldPosition(), PEER), 0.0)
+    manager.request_mode(ModeRequest(Mode.OFFBOARD, None, PEER), 0.1)
+    assert shown(manager) is Mode.OFFBOARD
 
 
 @pytest.mark.parametrize("mode", Mode)
@@ -343,6 +369,8 @@ def test_a_hold_that_comes_with_the_end_of_the_mission_holds() -> None:
     [halt] = manager.orders
     assert isinstance(halt, HoldPosition)
     assert halt.is_interrupting
+    assert shown(manager) is Mode.RTL, "which it flies"
+    manager.way_made()
     assert shown(manager) is Mode.HOLD
 
 
