@@ -159,6 +159,7 @@ async def test_a_way_home_is_shown_until_its_end_was_heard() -> None:
         while ground.mode is not Mode.HOLD:  # noqa: ASYNC110 - virtual time
             await anyio.sleep(0.02)
         assert flight.maneuver is Maneuver.NONE
+        assert "home is 0 m away" in ground.texts
 
 
 async def test_hold_ends_the_way_home(rig: Rig, ground: Ground) -> None:

@@ -7,6 +7,7 @@ them out and reports how each ended, and the time is an argument.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
@@ -45,6 +46,9 @@ from m100link.protocol.setpoint import Setpoint
 
 REMEMBERED_S = 10.0  # seconds that a take-off or mission waits for the aircraft to be armed
 IDLE_S = 10.0  # seconds armed on the ground without a take-off after which it is disarmed
+
+_LANDS_WITHIN_M = 20.0
+"""Nearer than this to home DJI's autopilots land where they are, by documents of later aircraft."""
 
 _TO_THE_GROUND = (Mode.LAND, Mode.RTL)
 _ENDS = (Mode.HOLD, *_TO_THE_GROUND)
@@ -261,7 +265,16 @@ class FlightModeManager:
                 self.running = FlightSource.TAKE_OFF
             if order.why:
                 self._tell(Severity.NOTICE, f"mission: flown from here, {order.why}")
+        if isinstance(order, ReturnToLaunch):
+            self._tell_return()
         self.orders.append(order)
+
+    def _tell_return(self) -> None:
+        """Near home DJI's autopilot does not fly there: people stand where it comes down."""
+        place = self._world.local
+        if place is not None and (away := math.hypot(*place[:2])) < _LANDS_WITHIN_M:
+            near = f"{Mode.RTL.value}: home is {away:.0f} m away"
+            self._tell(Severity.WARNING, f"{near}: within {_LANDS_WITHIN_M:g} m it lands in place")
 
     # -- arming ----------------------------------------------------------------------------------
 
@@ -356,6 +369,8 @@ class FlightModeManager:
         self.running = flight.then.running
         self.way_made()
         self._mode = Mode.LAND if isinstance(flight.then, LandInPlace) else Mode.RTL
+        if self._mode is Mode.RTL:
+            self._tell_return()
         if is_paused:  # it was there before the pause: what it flies now knows none
             self.interrupt("hold: the mission is over")
 

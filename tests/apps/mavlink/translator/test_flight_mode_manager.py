@@ -235,6 +235,29 @@ def test_a_mode_of_an_order_that_another_replaced_is_shown_no_more() -> None:
     assert shown(manager) is Mode.OFFBOARD
 
 
+@pytest.mark.parametrize(
+    ("north", "east", "text"),
+    [
+        (0.0, 12.0, "Return: home is 12 m away: within 20 m it lands in place"),
+        (-15.0, -13.0, "Return: home is 20 m away: within 20 m it lands in place"),  # 19.85
+        (0.0, 0.0, "Return: home is 0 m away: within 20 m it lands in place"),
+        (14.2, 14.2, None),  # 20.08
+        (0.0, 20.5, None),
+    ],
+)
+def test_a_return_that_lands_in_place_says_so(
+    monkeypatch: pytest.MonkeyPatch, north: float, east: float, text: str | None
+) -> None:
+    manager, world, told = manager_in(VehiclePhase.AIRBORNE)
+    monkeypatch.setattr(type(world), "local", property(lambda _: (north, east, 9.0)))
+    manager.request_mode(ModeRequest(Mode.RTL, ReturnToLaunch(), PEER), 0.0)
+    assert told == ([] if text is None else [(Severity.WARNING, text)])
+    let_fly(manager, FlightSource.MISSION)
+    told.clear()
+    manager.mission_flown(BY_AIRCRAFT)
+    assert told == ([] if text is None else [(Severity.WARNING, text)])
+
+
 @pytest.mark.parametrize("mode", Mode)
 def test_what_waits_to_come_down_after_a_take_off_is_not_put_off(mode: Mode) -> None:
     manager, _, told = manager_in(VehiclePhase.AIRBORNE)
