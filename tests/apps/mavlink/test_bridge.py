@@ -229,6 +229,22 @@ async def test_two_ground_stations_and_one_of_them_flies(rig: Rig, ground: Groun
     await rig.until(lambda: not ground.armed())
 
 
+async def test_a_stranger_with_the_number_of_the_station_that_flies_hears_that_it_flies(
+    rig: Rig, ground: Ground
+) -> None:
+    """It streams, and was told that no setpoint came."""
+    await ground.fly(4.0)
+    stranger = Ground(rig, ("127.0.0.1", 7000), ground.system)
+    stranger.beat()
+    for _ in range(10):
+        stranger.send("SET_POSITION_TARGET_LOCAL_NED", coordinate_frame=1, type_mask=3527, vx=3.0)
+        await anyio.sleep(0.05)
+    assert await stranger.set_mode(Mode.OFFBOARD) is MavResult.TEMPORARILY_REJECTED
+    await rig.until(lambda: "MAVLink 245 at 127.0.0.1:14540 flies" in stranger.texts)
+    assert "no setpoint" not in stranger.texts
+    assert rig.speed < 0.1
+
+
 async def test_setpoints_that_stop_are_not_flown_on(rig: Rig, ground: Ground) -> None:
     await ground.fly(5.0)
 

@@ -387,6 +387,7 @@ class Flights:
             ground=lambda: 0.0,
             speed=lambda: 5.0,
             may_change=lambda *_: "",
+            refusal_of=lambda _: "",
         )
         self.missions._stored[0] = tuple(item(16, z=10.0 + number) for number in range(8))
         one: Any = self

@@ -30,6 +30,7 @@ from m100link.apps.mavlink.translator.orders import (
     TakeOffAndClimb,
     VehicleOrder,
 )
+from m100link.apps.mavlink.translator.route import Route
 from m100link.apps.mavlink.translator.telemetry import NUMBERS, STREAMS, Rates
 from m100link.apps.mavlink.translator.vehicle_state import (
     Mode,
@@ -156,6 +157,8 @@ class CommandProtocol:
             return self._start(peer, None, mode.value, now)
         is_steered = mode in (Mode.OFFBOARD, Mode.POSCTL, Mode.ALTCTL)
         if is_steered and not self._manager.has_setpoint(mode, peer, now):
+            if self._manager.is_others(peer, mode.value):
+                return MavResult.TEMPORARILY_REJECTED
             self._tell(Severity.WARNING, f"{mode.value}: no setpoint came yet")
             return MavResult.DENIED
         order_of: dict[Mode, VehicleOrder] = {
@@ -360,6 +363,20 @@ class CommandProtocol:
             if isinstance(error, UsageError) and not is_standing:
                 raise error
         return end
+
+    def refusal_of(self, route: Route) -> str:
+        """Why the envelope refuses a mission, with the item; empty if it does not."""
+        known = self._world.known.view
+        legs: list[tuple[str, GuidedOrder]] = [
+            (f"item {leg.item}", leg.order) for leg in route.legs
+        ]
+        if route.height is not None:
+            legs.insert(0, ("take-off", orders.ChangeHeight(route.height)))
+        for what, order in legs:
+            for error in preview(order, known.telemetry, known.state.limits).refusals:
+                if isinstance(error, GuardRefused) and error.guard == "envelope":
+                    return f"{what}: {error.seen}"
+        return ""
 
     # -- messages and rates ----------------------------------------------------------------------
 

@@ -49,12 +49,15 @@ class MissionProtocol:
         speed: Callable[[], float],  # of missions that do not say it, m/s
         # Why a peer may not change the mission now; empty where it may.
         may_change: Callable[[Peer, int], str],
+        # Why nobody may fly a mission, as far as is known before its start; empty where one may.
+        refusal_of: Callable[[Route], str],
     ) -> None:
         self._send = send
         self._tell = tell
         self._ground = ground
         self._speed = speed
         self._may_change = may_change
+        self._refusal_of = refusal_of
         # The last upload of each kind.
         self._stored: dict[int, tuple[MavlinkMessage, ...]] = dict.fromkeys(
             (MissionType.MISSION, MissionType.FENCE, MissionType.RALLY), ()
@@ -162,7 +165,10 @@ class MissionProtocol:
                 # Kept for programs that want them back; nobody may believe in them.
                 self._tell(Severity.WARNING, "rally points are only stored: return goes home")
             else:
-                route = read_route(items, ground=self._ground() or 0.0, speed=self._speed())
+                ground = self._ground()
+                route = read_route(items, ground=ground or 0.0, speed=self._speed())
+                if ground is not None and (why := self._refusal_of(route)):
+                    raise Refused(MissionResult.INVALID, why)
                 if route.left_out:
                     named = ", ".join(map(str, dict.fromkeys(route.left_out)))
                     self._tell(Severity.NOTICE, f"mission: commands left out: {named}")

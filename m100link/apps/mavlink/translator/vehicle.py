@@ -101,6 +101,7 @@ class MavlinkVehicle:
             ground=lambda: self.world.ground_altitude,
             speed=lambda: settings["MPC_XY_CRUISE"],
             may_change=self._may_change,
+            refusal_of=self._commands.refusal_of,
         )
         self.flights = MissionFlights(self.world, self.manager, self._missions, tell)
         self._breach_m: float | None = None  # the least since it is outside; None inside

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Iterator
 from functools import partial
 from random import Random
@@ -267,9 +268,32 @@ async def test_a_mission_whose_ground_station_is_lost_holds(rig: Rig, ground: Gr
     assert rig.height > 3.0
 
 
-async def test_a_mission_beyond_the_envelope_is_denied_when_it_is_to_begin(
-    rig: Rig, ground: Ground
+TAKE_OFF = item(MavCommand.NAV_TAKEOFF, z=60.0)
+
+
+@pytest.mark.parametrize(
+    ("items", "why"),
+    [
+        ([waypoint(15.0, 0.1), waypoint(600.0, 0.1)], "item 1: fly_to to 600 m .* 150 m"),
+        ([waypoint(15.0, 0.1), waypoint(15.0, 9.0, z=51.0)], "item 1: fly_to .* 50 m"),
+        ([TAKE_OFF, waypoint(15.0, 0.1)], "take-off: .* 50 m"),
+    ],
+)
+async def test_a_mission_beyond_the_envelope_is_refused_at_its_upload(
+    rig: Rig, ground: Ground, items: list[Item], why: str
 ) -> None:
+    """At its start is too late: the ground station has said "uploaded"."""
+    assert await Exchange(ground).upload(SQUARE) == 0
+    assert await Exchange(ground).upload(items) is MissionResult.INVALID
+    await rig.until(lambda: bool(re.search(why, ground.texts.replace("\n", ""))))
+    assert len(rig.vehicle._missions.items) == len(SQUARE), "the one before stays"
+
+
+async def test_a_mission_beyond_the_envelope_is_denied_when_it_is_to_begin(
+    rig: Rig, ground: Ground, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It fitted the envelope from where the aircraft stood at its upload."""
+    monkeypatch.setattr(rig.vehicle._missions, "_refusal_of", lambda _: "")
     assert await Exchange(ground).upload([waypoint(15.0, 0.1), waypoint(600.0, 0.1)]) == 0
     await ground.arm()
     assert await ground.set_mode(Mode.MISSION) is MavResult.DENIED

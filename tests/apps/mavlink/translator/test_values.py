@@ -60,6 +60,7 @@ class Uploads:
             ground=lambda: self.ground,
             speed=lambda: 3.5,
             may_change=lambda _, kind: self.refusals.get(kind, ""),
+            refusal_of=lambda route: "too high" if route.legs[0].order.height > 50.0 else "",
         )
 
     def answers(self) -> list[Told]:
