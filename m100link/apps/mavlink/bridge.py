@@ -74,37 +74,26 @@ class Peers:
     def __init__(self, always: tuple[Address, ...] = ()) -> None:
         self._always = always
         self._heard: dict[Peer, float] = {}
-        # Those whose heartbeat nobody else can have sent, and when.
-        self._trusted: dict[Peer, float] = {}
         self.refused = 0
 
-    def heartbeat(self, peer: Peer, now: float, *, is_trusted: bool = True) -> None:
+    def heartbeat(self, peer: Peer, now: float) -> None:
         """It is there, and one of the peers unless these are too many.
 
-        ``now``: s. One that is trusted keeps a flight going: with a key only what is signed by it.
+        ``now``: s.
         """
         if peer not in self._heard and len(self._heard) >= MOST_PEERS:
             self.forget(now)
-            if len(self._heard) >= MOST_PEERS and not (is_trusted and self._make_room()):
+            if len(self._heard) >= MOST_PEERS:
                 self.refused += 1
                 return
         self._heard[peer] = now
-        if is_trusted:
-            self._trusted[peer] = now
-
-    def _make_room(self) -> bool:
-        """An untrusted peer makes room for a trusted one: a heartbeat needs no key."""
-        found = next((one for one in self._heard if one not in self._trusted), None)
-        if found is not None:
-            del self._heard[found]
-        return found is not None
 
     def knows(self, peer: Peer, now: float) -> bool:
         """Whether it has been heard lately: others are not obeyed, and not answered."""
         return now - self._heard.get(peer, -FORGOTTEN_AFTER) < FORGOTTEN_AFTER
 
     def is_lost(self, peer: Peer, now: float) -> bool:
-        return now - self._trusted.get(peer, -LOST_AFTER) >= LOST_AFTER
+        return now - self._heard.get(peer, -LOST_AFTER) >= LOST_AFTER
 
     def is_known(self, address: Address) -> bool:
         return any(one.address == address for one in self._heard)
@@ -113,7 +102,6 @@ class Peers:
         for peer, at in tuple(self._heard.items()):
             if now - at >= FORGOTTEN_AFTER:
                 del self._heard[peer]
-                self._trusted.pop(peer, None)
 
     def audience(self, now: float) -> dict[Address, tuple[Peer, ...]]:
         """Where telemetry goes, with the peers that are there."""
@@ -225,8 +213,7 @@ class Bridge:
         if message.system in self._ours:
             return
         if message.name == "HEARTBEAT":
-            is_trusted = self._signer is None or message.is_signed
-            self.peers.heartbeat(peer, now, is_trusted=is_trusted)
+            self.peers.heartbeat(peer, now)
         elif self.peers.knows(peer, now):
             for vehicle in self.vehicles:
                 vehicle.receive(message, peer, now)

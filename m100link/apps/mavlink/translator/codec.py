@@ -158,8 +158,6 @@ class MavlinkMessage:
     fields: Mapping[str, Any]  # values by name; a text for characters, a tuple for other arrays
     system: int = 0  # who sent it; 0 for what is to be sent
     component: int = 0  # which part of that system
-    # Whether it came with a signature that is right.
-    is_signed: bool = field(default=False, compare=False)
 
     def __getitem__(self, name: str) -> Any:
         return self.fields[name]
@@ -340,9 +338,10 @@ def write_frame(
 class MessageReader:
     """The valid messages of a datagram, each searched from the end of the one before.
 
-    With a signer only HEARTBEAT is taken without a signature: it moves nothing. ``now`` is the time
-    of signatures, 10 µs since 2015. When :attr:`checked` is ``most``, the rest is left unread: a
-    datagram can be made to look like many overlapping frames, each of which is checked to its end.
+    With a signer nothing is taken without a signature: by a HEARTBEAT alone anybody could look, or
+    have all telemetry sent to a third party. ``now`` is the time of signatures, 10 µs since 2015.
+    When :attr:`checked` is ``most``, the rest is left unread: a datagram can be made to look like
+    many overlapping frames, each of which is checked to its end.
     """
 
     def __init__(
@@ -431,15 +430,13 @@ def _frame_v2(data: bytes, at: int, signer: PacketSigner | None, now: int) -> _F
         return _NO_FRAME
     if not _is_whole(data, at, end, layout):
         return _Found(None, 0, end - at)
-    is_owed = signer is not None and (is_signed or layout.name != "HEARTBEAT")
-    if signer is not None and is_owed:
+    if signer is not None:
         sender = system, component
         if not (is_signed and signer.takes(data[at:whole], sender, now)):
             signer.refused += 1
             return _Found(None, whole, whole - at)
     fields = layout.read(data[begin : begin + size])
-    is_right = signer is not None and is_signed
-    message = MavlinkMessage(layout.name, fields, system, component, is_right)
+    message = MavlinkMessage(layout.name, fields, system, component)
     return _Found(message, whole, whole - at)
 
 
@@ -454,7 +451,7 @@ def _frame_v1(data: bytes, at: int, *, is_signed: bool) -> _Found:
         return _NO_FRAME
     if not _is_whole(data, at, end, layout):
         return _Found(None, 0, end - at)
-    if is_signed and layout.name != "HEARTBEAT":
+    if is_signed:
         return _Found(None, end, end - at)
     fields = layout.read(data[begin : begin + size])
     message = MavlinkMessage(layout.name, fields, system, component)
