@@ -107,6 +107,8 @@ DEFINITIONS = """
 244 MESSAGE_INTERVAL: i32 interval_us, u16 message_id
 245 EXTENDED_SYS_STATE: u8 vtol_state, u8 landed_state
 253 STATUSTEXT: u8 severity, char[50] text | u16 id, u8 chunk_seq
+345 PARAM_ERROR: i16 param_index, u8 target_system, u8 target_component, char[16] param_id, u8
+    error
 435 AVAILABLE_MODES: u32 custom_mode, u32 properties, u8 number_modes, u8 mode_index, u8
     standard_mode, char[35] mode_name
 436 CURRENT_MODE: u32 custom_mode, u32 intended_custom_mode, u8 standard_mode

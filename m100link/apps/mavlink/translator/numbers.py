@@ -18,6 +18,15 @@ class MavResult(IntEnum):
     IN_PROGRESS = 5
 
 
+class ParamError(IntEnum):
+    """MAV_PARAM_ERROR: why a parameter was not read or set."""
+
+    DOES_NOT_EXIST = 1
+    VALUE_OUT_OF_RANGE = 2
+    PERMISSION_DENIED = 3
+    READ_ONLY = 5
+
+
 class Severity(IntEnum):
     """MAV_SEVERITY: of texts."""
 

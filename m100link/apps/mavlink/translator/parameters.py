@@ -1,7 +1,8 @@
 """Parameters: what a ground station may look up and set, under the names that it knows from PX4.
 
-The M100 has no parameters on its wire. These are the settings of the bridge, and what it knows of
-the aircraft's limits; what cannot be set here is read-only, and answered with its value.
+The M100 has no parameters on its wire. These are the settings of the bridge, the known limits of
+the aircraft, and those that QGroundControl reads of every PX4 vehicle. All but settings are
+read-only, and answered with their value.
 """
 
 from __future__ import annotations
@@ -11,6 +12,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from m100link.apps.mavlink.translator.codec import MavlinkMessage
+from m100link.apps.mavlink.translator.numbers import ParamError
+from m100link.apps.mavlink.translator.offboard import STICKS_LIFETIME
 from m100link.apps.mavlink.translator.vehicle_state import VehicleState
 
 _REAL32, _INT32 = 9, 6
@@ -31,12 +34,44 @@ class ParamRow:
         return self.most > self.least
 
 
+_BY_DJI = "1: DJI's autopilot calibrates it, not a ground station"
+_OF_DJI = "DJI's own setting, unknown here: -1"
+_NO_SWITCH = "-1: the mode switch is DJI's"
+
+_SETUP: Mapping[str, tuple[int, str]] = {
+    "SYS_AUTOSTART": (4001, "4001: a quadrotor"),
+    "SYS_AUTOCONFIG": (0, "0: nothing to set up"),
+    "CAL_GYRO0_ID": (1, _BY_DJI),
+    "CAL_ACC0_ID": (1, _BY_DJI),
+    "CAL_MAG0_ID": (1, _BY_DJI),
+    "CAL_MAG1_ID": (0, "0: no second compass is known"),
+    "CAL_MAG2_ID": (0, "0: no third one"),
+    "COM_RC_IN_MODE": (1, "1: sticks by MANUAL_CONTROL; those of the pilot go to DJI's autopilot"),
+    "RC_MAP_ROLL": (1, "channel of RC_CHANNELS"),
+    "RC_MAP_PITCH": (2, "channel of RC_CHANNELS"),
+    "RC_MAP_THROTTLE": (3, "channel of RC_CHANNELS"),
+    "RC_MAP_YAW": (4, "channel of RC_CHANNELS"),
+    "RC_MAP_FLAPS": (0, "0: none"),
+    "RC_MAP_AUX1": (0, "0: none"),
+    "RC_MAP_AUX2": (0, "0: none"),
+    **{f"COM_FLTMODE{number}": (-1, _NO_SWITCH) for number in range(1, 7)},
+    "BAT1_SOURCE": (1, "1: the aircraft reports its battery"),
+    "NAV_DLL_ACT": (1, "1: a lost ground station is a hold"),
+    "NAV_RCL_ACT": (-1, _OF_DJI),
+    "COM_LOW_BAT_ACT": (-1, _OF_DJI),
+}
+"""Integers that QGroundControl reads of every PX4 vehicle. Without one it says that the firmware
+has a bug; by one that reads as "not set up" it opens its setup instead of its map."""
+
 PARAMETERS: Mapping[str, ParamRow] = {
     "MAV_SYS_ID": ParamRow(
         None, "system id of this aircraft", get=lambda _, system: system, is_whole=True
     ),
     "MIS_TAKEOFF_ALT": ParamRow(2.5, "height of a take-off without one, m", 1.5, 100.0),
-    "RTL_RETURN_ALT": ParamRow(-1.0, "DJI's own setting, unknown here: -1"),
+    "RTL_RETURN_ALT": ParamRow(-1.0, _OF_DJI),
+    "RTL_DESCEND_ALT": ParamRow(-1.0, _OF_DJI),
+    "RTL_LAND_DELAY": ParamRow(0.0, "0: the autopilot lands at once"),
+    "COM_RC_LOSS_T": ParamRow(STICKS_LIFETIME, "s without MANUAL_CONTROL until Position holds"),
     "COM_OF_LOSS_T": ParamRow(0.5, "s without a setpoint until OFFBOARD holds", 0.1, 2.0),
     "MPC_XY_CRUISE": ParamRow(5.0, "speed of flights to a place and of missions, m/s", 0.5, 10.0),
     "MPC_XY_VEL_MAX": ParamRow(5.0, "greatest speed of OFFBOARD and of sticks, m/s", 0.5, 10.0),
@@ -59,6 +94,7 @@ PARAMETERS: Mapping[str, ParamRow] = {
         "the agent's floor of the battery, 0 to 1",
         get=lambda world, _: (world.known.view.state.limits.battery_floor_percent or 0) / 100,
     ),
+    **{name: ParamRow(value, meaning, is_whole=True) for name, (value, meaning) in _SETUP.items()},
 }
 """By name."""
 
@@ -91,28 +127,43 @@ class ParameterProtocol:
         }
         return MavlinkMessage("PARAM_VALUE", fields)
 
-    def receive(self, message: MavlinkMessage) -> list[MavlinkMessage]:
-        """The answers to a question, or to a value that nobody refuses (:meth:`refusal`)."""
-        if message.name == "PARAM_REQUEST_LIST":
-            return [self.message(name) for name in _NAMES]
-        name = str(message["param_id"])
-        if message.name == "PARAM_REQUEST_READ":
-            index = message["param_index"]
-            if index >= 0:
-                name = _NAMES[index] if index < len(_NAMES) else ""
-            return [self.message(name)] if name in PARAMETERS else []
-        if PARAMETERS[name].is_settable:
-            self.values[name] = message["param_value"]
-        return [self.message(name)]
+    def receive(
+        self, message: MavlinkMessage, *, is_others: bool
+    ) -> tuple[list[MavlinkMessage], str]:
+        """The answers to a question or a new value, and why that one was not taken.
 
-    def refusal(self, message: MavlinkMessage) -> str:
-        """Why a value was not taken; empty where it was."""
-        name, value = str(message["param_id"]), message["param_value"]
-        one = PARAMETERS.get(name)
-        if one is None:
-            return f"there is no parameter {name}"
+        ``is_others``: whether somebody else flies, whose values these are.
+        """
+        if message.name == "PARAM_REQUEST_LIST":
+            return [self.message(name) for name in _NAMES], ""
+        name, index = str(message["param_id"]), message.fields.get("param_index", -1)
+        if index >= 0:
+            name = _NAMES[index] if index < len(_NAMES) else ""
+        error, why = None, f"there is no parameter {name}"
+        if name not in PARAMETERS:
+            error = ParamError.DOES_NOT_EXIST
+        elif message.name == "PARAM_SET":
+            error, why = self._refusal(name, message["param_value"], is_others=is_others)
+            if error is None and PARAMETERS[name].is_settable:
+                self.values[name] = message["param_value"]
+        answers = [self.message(name)] if name in PARAMETERS else []
+        if error is not None:
+            fields = {"param_id": name, "param_index": index, "error": error}
+            answers.append(MavlinkMessage("PARAM_ERROR", fields))
+        return answers, why if error is not None and message.name == "PARAM_SET" else ""
+
+    def _refusal(
+        self, name: str, value: float, *, is_others: bool
+    ) -> tuple[ParamError | None, str]:
+        """Why a value is not taken; None where it is."""
+        one = PARAMETERS[name]
         if one.is_settable:
-            is_right = one.least <= value <= one.most  # which no NaN is
-            return "" if is_right else f"{name} is {one.least:g} to {one.most:g}"
-        given = struct.unpack("<i", struct.pack("<f", value))[0] if one.is_whole else value
-        return "" if given == self._value(name) else f"{name} is read-only"
+            if not one.least <= value <= one.most:  # which no NaN is
+                return ParamError.VALUE_OUT_OF_RANGE, f"{name} is {one.least:g} to {one.most:g}"
+        else:
+            given = struct.unpack("<i", struct.pack("<f", value))[0] if one.is_whole else value
+            if given != self._value(name):
+                return ParamError.READ_ONLY, f"{name} is read-only"
+        if is_others:
+            return ParamError.PERMISSION_DENIED, "a parameter: somebody else flies"
+        return None, ""

@@ -185,17 +185,13 @@ class MavlinkVehicle:
         self._acknowledge(LAYOUTS["SET_MODE"].number, result or MavResult.ACCEPTED, peer)
 
     def _parameter(self, message: MavlinkMessage, peer: Peer, now: float) -> None:
-        if message.name == "PARAM_SET":
-            refusal = self._parameters.refusal(message)
-            if not refusal and self.manager.other_operator(peer) is not None:
-                refusal = "a parameter: somebody else flies"
-            if refusal:
-                # The question for the value, instead of a new one.
-                fields = dict(message.fields) | {"param_index": -1}
-                message = MavlinkMessage("PARAM_REQUEST_READ", fields)
-                self._texts.tell(Severity.WARNING, refusal)
-        for answer in self._parameters.receive(message):
-            self._send(answer, peer)
+        is_others = self.manager.other_operator(peer) is not None
+        answers, refusal = self._parameters.receive(message, is_others=is_others)
+        if refusal:
+            self._texts.tell(Severity.WARNING, refusal)
+        for one in answers:
+            to = peer.target if one.name == "PARAM_ERROR" else {}
+            self._send(MavlinkMessage(one.name, {**one.fields, **to}), peer)
 
     def _may_steer(self, peer: Peer) -> bool:
         return self.manager.operator in (None, peer)

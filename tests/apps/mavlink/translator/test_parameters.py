@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import pytest
 
 from m100link.apps.mavlink.translator.parameters import PARAMETERS
@@ -12,6 +14,9 @@ TABLE: dict[str, tuple[float | None, float, float]] = {
     "MAV_SYS_ID": (None, 0.0, 0.0),
     "MIS_TAKEOFF_ALT": (2.5, 1.5, 100.0),
     "RTL_RETURN_ALT": (-1.0, 0.0, 0.0),
+    "RTL_DESCEND_ALT": (-1.0, 0.0, 0.0),
+    "RTL_LAND_DELAY": (0.0, 0.0, 0.0),
+    "COM_RC_LOSS_T": (0.5, 0.0, 0.0),
     "COM_OF_LOSS_T": (0.5, 0.1, 2.0),
     "MPC_XY_CRUISE": (5.0, 0.5, 10.0),
     "MPC_XY_VEL_MAX": (5.0, 0.5, 10.0),
@@ -24,9 +29,55 @@ TABLE: dict[str, tuple[float | None, float, float]] = {
     "COM_ARM_BAT_MIN": (None, 0.0, 0.0),
 }
 
+# What QGroundControl 5 reads of a PX4 quadrotor: in order, the parameters that its dialog
+# "Parameters are missing from firmware" listed for a vehicle without any. The conditions are those
+# of setupComplete of its components: airframe, sensors, radio (whose channels count unless
+# COM_RC_IN_MODE is 1), power (which is complete where its voltages are missing).
+SETUP: dict[str, Callable[[float], bool]] = {
+    "SYS_AUTOSTART": lambda value: value != 0,
+    "CAL_GYRO0_ID": lambda value: value != 0,
+    "COM_RC_IN_MODE": lambda value: value == 1,
+    "RC_MAP_ROLL": lambda value: value == 1,  # the channels of RC_CHANNELS
+    "SYS_AUTOCONFIG": lambda value: value == 0,
+    "MAV_SYS_ID": lambda value: True,
+    "CAL_ACC0_ID": lambda value: value != 0,
+    "CAL_MAG2_ID": lambda value: value == 0,  # is not shown
+    "CAL_MAG1_ID": lambda value: value == 0,
+    "CAL_MAG0_ID": lambda value: value != 0,
+    "RC_MAP_AUX2": lambda value: value == 0,
+    "RC_MAP_AUX1": lambda value: value == 0,
+    "RC_MAP_FLAPS": lambda value: value == 0,
+    "RC_MAP_THROTTLE": lambda value: value == 3,
+    "RC_MAP_YAW": lambda value: value == 4,
+    "RC_MAP_PITCH": lambda value: value == 2,
+    **{f"COM_FLTMODE{number}": lambda value: value == -1 for number in range(1, 7)},  # unassigned
+    "BAT1_SOURCE": lambda value: value == 1,  # external
+    "RTL_LAND_DELAY": lambda value: value == 0,  # lands at once
+    "RTL_DESCEND_ALT": lambda value: value == -1,
+    "RTL_RETURN_ALT": lambda value: value == -1,
+    "NAV_DLL_ACT": lambda value: value == 1,  # hold
+    "COM_RC_LOSS_T": lambda value: value == 0.5,
+    "NAV_RCL_ACT": lambda value: value == -1,
+    "COM_LOW_BAT_ACT": lambda value: value == -1,
+}
+INTEGERS = {"MAV_SYS_ID", *(name for name in SETUP if name not in TABLE)}
+
+
+@pytest.mark.parametrize("name", SETUP)
+def test_a_ground_station_for_px4_finds_a_vehicle_that_is_set_up(name: str) -> None:
+    """QGroundControl's first words were two warnings, and it opened its setup."""
+    one = PARAMETERS[name]
+    assert name == "MAV_SYS_ID" or (one.value is not None and SETUP[name](one.value))
+    assert not one.is_settable, "nothing here can be calibrated"
+    assert one.is_whole is (name in INTEGERS)
+
+
+def test_power_is_complete_because_its_voltages_are_not_there() -> None:
+    assert not {"BAT1_V_CHARGED", "BAT1_V_EMPTY", "BAT1_N_CELLS"} & PARAMETERS.keys()
+
 
 def test_no_parameter_is_missing() -> None:
-    assert set(PARAMETERS) == set(TABLE)
+    assert set(PARAMETERS) == set(TABLE) | set(SETUP)
 
 
 @pytest.mark.parametrize("name", TABLE)

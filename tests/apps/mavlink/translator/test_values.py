@@ -470,19 +470,49 @@ def test_set_mode_of_older_programs_names_a_mode_of_px4() -> None:
 def test_parameters_by_index_and_by_name_and_who_may_set_one() -> None:
     one = vehicle()
     [cruise] = answers(one, "PARAM_REQUEST_READ", param_id="MPC_XY_CRUISE", param_index=-1)
-    assert (cruise["param_value"], cruise["param_type"], cruise["param_count"]) == (5.0, 9, 13)
+    assert (cruise["param_value"], cruise["param_type"], cruise["param_count"]) == (5.0, 9, 41)
     index = cruise["param_index"]
     for place, name in ((index, "MPC_XY_CRUISE"), (0, "MAV_SYS_ID")):
         [told] = answers(one, "PARAM_REQUEST_READ", param_id="", param_index=place)
         assert (told["param_id"], told["param_index"]) == (name, place)
     assert told["param_type"] == 6, "an integer"
-    assert answers(one, "PARAM_REQUEST_READ", param_id="", param_index=13) == []
-    assert answers(one, "PARAM_REQUEST_READ", param_id="NONE", param_index=-1) == []
     for operator, expected in ((PEER, 7.5), (OTHER, 7.5), (None, 6.0)):
         one.manager.operator = operator
         value = 7.5 if operator is PEER else 6.0
-        [told] = answers(one, "PARAM_SET", param_id="MPC_XY_CRUISE", param_value=value)
+        told = answers(one, "PARAM_SET", param_id="MPC_XY_CRUISE", param_value=value)[0]
         assert told["param_value"] == expected, operator
+
+
+# MAV_PARAM_ERROR: does not exist 1, value out of range 2, permission denied 3, read-only 5.
+@pytest.mark.parametrize(
+    ("name", "fields", "operator", "error", "text"),
+    [
+        ("READ", {"param_id": "FOLL_MODE", "param_index": -1}, None, 1, ""),
+        ("READ", {"param_id": "_HASH_CHECK", "param_index": -1}, None, 1, ""),
+        ("READ", {"param_id": "", "param_index": 41}, None, 1, ""),
+        ("SET", {"param_id": "NONE"}, None, 1, "there is no parameter NONE"),
+        ("SET", {"param_id": "MPC_XY_CRUISE"}, None, 2, "MPC_XY_CRUISE is 0.5 to 10"),
+        ("SET", {"param_id": "MPC_XY_CRUISE", "param_value": 4.0}, OTHER, 3, "somebody else flies"),
+        ("SET", {"param_id": "CAL_MAG0_ID"}, None, 5, "CAL_MAG0_ID is read-only"),
+    ],
+)
+def test_a_parameter_that_is_not_read_or_set_says_why(
+    name: str, fields: dict[str, Any], operator: Peer | None, error: int, text: str
+) -> None:
+    """MAVSDK asked six times for one that there is not, until its time was over."""
+    one = vehicle()
+    one.manager.operator = operator
+    name = {"READ": "PARAM_REQUEST_READ", "SET": "PARAM_SET"}[name]
+    *values, refusal = answers(one, name, **{"param_value": 77.0, **fields})
+    assert [value.name for value in values] == ["PARAM_VALUE"] * (error != 1), "the one in force"
+    assert (refusal.name, refusal["error"]) == ("PARAM_ERROR", error)
+    index = fields.get("param_index", -1)
+    assert (refusal["param_id"], refusal["param_index"]) == (fields["param_id"], index)
+    assert (refusal["target_system"], refusal["target_component"]) == (245, 190)
+    assert [told for _, told in one._texts.waiting if text and text in told] == [
+        told for _, told in one._texts.waiting
+    ]
+    assert bool(one._texts.waiting) is bool(text)
 
 
 @pytest.mark.parametrize(
