@@ -279,7 +279,8 @@ class MissionFlights:
         self._manager = manager
         self._missions = missions
         self._tell = tell
-        self.flown: GuidedOrder | None = None  # the leg of a flight that is under way
+        self.flown: GuidedOrder | None = None  # that began last, and is not done
+        world.target = self.target
         # Waypoints of the plan that flies which are done, counted from the first.
         self._done = 0
 
@@ -346,6 +347,12 @@ class MissionFlights:
         return plan, ""
 
     # -- progress --------------------------------------------------------------------------------
+
+    def target(self) -> GuidedOrder | None:
+        """The leg that is under way."""
+        flight, flies = self._manager.flight, (FlightSource.FLIGHT, FlightSource.MISSION)
+        is_ours = flight is not None and self.flown in flight.legs
+        return self.flown if is_ours and self._manager.running in flies else None
 
     def leg(self, flight: FlightSequence, number: int, is_done: bool) -> None:
         if self._manager.flight is not flight:

@@ -82,6 +82,8 @@ DEFINITIONS = """
 86 SET_POSITION_TARGET_GLOBAL_INT: u32 time_boot_ms, i32 lat_int, i32 lon_int, f32 alt, f32 vx,
     f32 vy, f32 vz, f32 afx, f32 afy, f32 afz, f32 yaw, f32 yaw_rate, u16 type_mask, u8
     target_system, u8 target_component, u8 coordinate_frame
+87 POSITION_TARGET_GLOBAL_INT: u32 time_boot_ms, i32 lat_int, i32 lon_int, f32 alt, f32 vx, f32 vy,
+    f32 vz, f32 afx, f32 afy, f32 afz, f32 yaw, f32 yaw_rate, u16 type_mask, u8 coordinate_frame
 105 HIGHRES_IMU: u64 time_usec, f32 xacc, f32 yacc, f32 zacc, f32 xgyro, f32 ygyro, f32 zgyro,
     f32 xmag, f32 ymag, f32 zmag, f32 abs_pressure, f32 diff_pressure, f32 pressure_alt, f32
     temperature, u16 fields_updated | u8 id
@@ -109,6 +111,7 @@ DEFINITIONS = """
 253 STATUSTEXT: u8 severity, char[50] text | u16 id, u8 chunk_seq
 345 PARAM_ERROR: i16 param_index, u8 target_system, u8 target_component, char[16] param_id, u8
     error
+360 ORBIT_EXECUTION_STATUS: u64 time_usec, f32 radius, i32 x, i32 y, f32 z, u8 frame
 435 AVAILABLE_MODES: u32 custom_mode, u32 properties, u8 number_modes, u8 mode_index, u8
     standard_mode, char[35] mode_name
 436 CURRENT_MODE: u32 custom_mode, u32 intended_custom_mode, u8 standard_mode

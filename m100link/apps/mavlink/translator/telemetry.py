@@ -13,8 +13,15 @@ from dataclasses import dataclass
 from typing import Any
 
 from m100link.apps.agent.background import TokenBucket
+from m100link.apps.agent.orders import FlyAround, FlyTo
 from m100link.apps.mavlink.translator import codec
-from m100link.apps.mavlink.translator.numbers import Estimator, LandedState, Sensor, Severity
+from m100link.apps.mavlink.translator.numbers import (
+    Estimator,
+    LandedState,
+    MavFrame,
+    Sensor,
+    Severity,
+)
 from m100link.apps.mavlink.translator.vehicle_state import LOWEST_BATTERY, VehicleState
 from m100link.protocol import records
 from m100link.telemetry.integrity import GOOD_GPS
@@ -274,6 +281,38 @@ def _felt(
     return records.in_body(attitude.xyzw, (north, east, down - 9.80665))
 
 
+_PLACE_ONLY, _AND_YAW = 0b1101_1111_1000, 0b1001_1111_1000  # type_mask: what is not to be read
+
+
+def _target(world: VehicleState, now: float) -> Fields | None:
+    leg, ground = world.target(), world.ground_altitude
+    if not isinstance(leg, FlyTo) or ground is None:
+        return None
+    return {
+        "time_boot_ms": _ms(now),
+        "coordinate_frame": MavFrame.GLOBAL_INT,
+        "type_mask": _PLACE_ONLY if leg.yaw_deg is None else _AND_YAW,
+        "lat_int": round(leg.latitude_deg * 1e7),
+        "lon_int": round(leg.longitude_deg * 1e7),
+        "alt": ground + leg.height,
+        "yaw": math.radians(leg.yaw_deg or 0.0),
+    }
+
+
+def _orbit(world: VehicleState, now: float) -> Fields | None:
+    leg, ground = world.target(), world.ground_altitude
+    if not isinstance(leg, FlyAround) or ground is None:
+        return None
+    return {
+        "time_usec": int(now * 1e6),
+        "radius": leg.radius if leg.clockwise else -leg.radius,
+        "frame": MavFrame.GLOBAL,
+        "x": round(leg.latitude_deg * 1e7),
+        "y": round(leg.longitude_deg * 1e7),
+        "z": ground + leg.height,
+    }
+
+
 @dataclass(frozen=True, slots=True)
 class Stream:
     hz: float  # how often it is sent; 0 until somebody asks
@@ -297,7 +336,13 @@ STREAMS: Mapping[str, Stream] = {
     "BATTERY_STATUS": Stream(1, _STATUS, _battery, "percent; no voltage, no current"),
     "ESTIMATOR_STATUS": Stream(1, _STATUS, _estimator, "whether the position can be true"),
     "RC_CHANNELS": Stream(5, _STICKS, _rc, "sticks, mode switch, gear"),
-    "VFR_HUD": Stream(0, _EXTRA2, _vfr, "velocity, altitude; no airspeed"),
+    "POSITION_TARGET_GLOBAL_INT": Stream(
+        1, _PLACE, _target, "during a flight to a place: the place"
+    ),
+    "ORBIT_EXECUTION_STATUS": Stream(
+        1, _PLACE, _orbit, "during a flight around a place: the circle"
+    ),
+    "VFR_HUD": Stream(4, _EXTRA2, _vfr, "velocity, altitude; no airspeed"),
     "ALTITUDE": Stream(0, _EXTRA3, _altitude, "barometric altitude, height"),
     "HIGHRES_IMU": Stream(0, _SENSORS, _imu, "angular velocity, acceleration"),
     "SYSTEM_TIME": Stream(

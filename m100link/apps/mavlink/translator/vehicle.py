@@ -319,13 +319,8 @@ class MavlinkVehicle:
 
         ``way``: m north, and east as the imaginary part, if it flies straight on.
         """
-        flight, leg = self.manager.flight, self.flights.flown
-        is_flown = (
-            flight is not None
-            and leg in flight.legs
-            and self.manager.running is FlightSource.FLIGHT
-        )
-        if is_flown and isinstance(leg, FlyTo | FlyAround) and way:
+        leg = self.flights.target() if self.manager.running is FlightSource.FLIGHT else None
+        if isinstance(leg, FlyTo | FlyAround) and way:
             to = complex(*frame.to_local(leg.latitude_deg, leg.longitude_deg))
             past, share = way - to, to / way
             if isinstance(leg, FlyAround):

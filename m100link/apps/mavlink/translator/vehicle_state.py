@@ -13,6 +13,7 @@ from enum import Enum
 
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.control_session import ControlSession
+from m100link.apps.agent.orders import GuidedOrder
 from m100link.apps.mavlink.translator.codec import MavlinkMessage
 from m100link.apps.mavlink.translator.numbers import BaseMode, SystemStatus
 from m100link.geodesy import LocalFrame
@@ -210,6 +211,8 @@ class VehicleState:
         # Whether a take-off was called off, and the aircraft may fly it all the same.
         self.may_take_off = False
         self.home: Home | None = None  # where it stood last; None while nobody knows
+        # The leg of a flight that is under way; None without one.
+        self.target: Callable[[], GuidedOrder | None] = lambda: None
 
     @property
     def height(self) -> float | None:

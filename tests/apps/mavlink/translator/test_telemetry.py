@@ -17,6 +17,7 @@ import pytest
 
 from m100link.apps.agent.client import VehicleView
 from m100link.apps.agent.messages import LeaseChanged, State
+from m100link.apps.agent.orders import FlyAround, FlyTo
 from m100link.apps.mavlink.translator.codec import (
     LAYOUTS,
     MavlinkMessage,
@@ -132,7 +133,49 @@ TABLE: dict[str, dict[str, Any]] = {
 
 
 def test_the_table_has_every_stream() -> None:
-    assert set(TABLE) == set(STREAMS)
+    assert set(TABLE) | {row[0] for row in OF_FLIGHTS} == set(STREAMS)
+
+
+# The take-off point is 75.31 m above the sea. type_mask: bits 3 to 5 speed, 6 to 8 acceleration, 10
+# yaw, 11 turn are to be ignored. The radius is positive clockwise; frames: GLOBAL 0, GLOBAL_INT 5.
+AIM = -33.1234567, 151.2345678
+OF_FLIGHTS: list[tuple[str, Any, dict[str, float]]] = [
+    (
+        "POSITION_TARGET_GLOBAL_INT",
+        FlyTo(*AIM, 20.0, 3.0),
+        BOOT
+        | {"lat_int": -331_234_567, "lon_int": 1_512_345_678, "alt": 95.31, "coordinate_frame": 5}
+        | {"type_mask": 0b1101_1111_1000},
+    ),
+    (
+        "POSITION_TARGET_GLOBAL_INT",
+        FlyTo(*AIM, 20.0, 3.0, -90.0),
+        {"type_mask": 0b1001_1111_1000, "yaw": -math.pi / 2},
+    ),
+    (
+        "ORBIT_EXECUTION_STATUS",
+        FlyAround(*AIM, 8.0, 12.5),
+        USEC | {"radius": 12.5, "frame": 0, "x": -331_234_567, "y": 1_512_345_678, "z": 83.31},
+    ),
+    ("ORBIT_EXECUTION_STATUS", FlyAround(*AIM, 8.0, 12.5, clockwise=False), {"radius": -12.5}),
+]
+
+
+@pytest.mark.parametrize(("name", "leg", "expected"), OF_FLIGHTS)
+def test_where_a_flight_leads_is_shown_while_it_is_flown(
+    name: str, leg: Any, expected: dict[str, float]
+) -> None:
+    world = world_of(Known(), home=HERE)
+    assert STREAMS[name].fields(world, NOW) is None
+    world.target = lambda: leg
+    fields = STREAMS[name].fields(world, NOW)
+    assert fields is not None
+    found = wire(name, fields)
+    assert {field: found[field] for field in expected} == pytest.approx(expected, rel=1e-6)
+    other = next(one for one, *_ in OF_FLIGHTS if one != name)
+    assert STREAMS[other].fields(world, NOW) is None
+    world.known.without(Position)  # type: ignore[attr-defined]  # a stand-in
+    assert STREAMS[name].fields(world, NOW) is None, "the altitude of the ground is unknown"
 
 
 @pytest.mark.parametrize("name", TABLE)
@@ -374,7 +417,9 @@ RATES_BY_DEFAULT = {
     "GPS_RAW_INT": (5, 1),
     "BATTERY_STATUS": (1, 2),
     "RC_CHANNELS": (5, 3),
-    "VFR_HUD": (0, 11),
+    "POSITION_TARGET_GLOBAL_INT": (1, 6),
+    "ORBIT_EXECUTION_STATUS": (1, 6),
+    "VFR_HUD": (4, 11),
     "ALTITUDE": (0, 12),
     "HIGHRES_IMU": (0, 1),
     "SYSTEM_TIME": (0, 12),
@@ -540,7 +585,7 @@ async def test_a_peer_that_asks_for_a_kilohertz_changes_nothing_for_another(
 
 @pytest.mark.anyio
 @pytest.mark.parametrize(
-    ("name", "expected"), [("ATTITUDE", 50_000), ("VFR_HUD", -1), ("HIL_STATE", 0)]
+    ("name", "expected"), [("ATTITUDE", 50_000), ("ALTITUDE", -1), ("HIL_STATE", 0)]
 )
 async def test_an_interval_is_that_of_the_definitions(
     ground: Ground, name: str, expected: int

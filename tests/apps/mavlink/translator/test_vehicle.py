@@ -16,6 +16,9 @@ from m100link.apps.mavlink.translator.vehicle_state import MODES, Mode
 from m100link.protocol.records import FlightPhase, RcMode
 from tests.apps.mavlink.conftest import Ground, Rig
 
+OF_FLIGHTS = ("POSITION_TARGET_GLOBAL_INT", "ORBIT_EXECUTION_STATUS")
+ALWAYS = [name for name in STREAMS if name not in OF_FLIGHTS]
+
 pytestmark = pytest.mark.anyio
 
 
@@ -33,12 +36,12 @@ async def counted(ground: Ground, name: str, seconds: float = 4.0) -> float:
 # -- telemetry ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", STREAMS)
+@pytest.mark.parametrize("name", ALWAYS)
 async def test_a_message_comes_as_often_as_the_table_says(ground: Ground, name: str) -> None:
     assert await counted(ground, name) == pytest.approx(STREAMS[name].hz, abs=0.6)
 
 
-@pytest.mark.parametrize("name", STREAMS)
+@pytest.mark.parametrize("name", ALWAYS)
 async def test_a_message_comes_as_often_as_it_is_asked_for(ground: Ground, name: str) -> None:
     asked = MavCommand.SET_MESSAGE_INTERVAL, number(name)
     assert await ground.ask(*asked, 1e6 / 8) is MavResult.ACCEPTED
@@ -68,7 +71,7 @@ async def test_rates_that_are_not_numbers_are_denied(ground: Ground, given: floa
 
 
 @pytest.mark.parametrize(
-    "name", [*STREAMS, "AUTOPILOT_VERSION", "AVAILABLE_MODES", "CURRENT_MODE", "HEARTBEAT"]
+    "name", [*ALWAYS, "AUTOPILOT_VERSION", "AVAILABLE_MODES", "CURRENT_MODE", "HEARTBEAT"]
 )
 async def test_a_message_is_sent_when_it_is_asked_for(ground: Ground, name: str) -> None:
     assert await ground.ask(MavCommand.REQUEST_MESSAGE, number(name), 0) is MavResult.ACCEPTED
@@ -78,6 +81,41 @@ async def test_a_message_is_sent_when_it_is_asked_for(ground: Ground, name: str)
 @pytest.mark.parametrize("asked", [280, 397, 0x7FFFFF, -1, 1e30])
 async def test_a_message_that_is_not_there_is_reported(ground: Ground, asked: float) -> None:
     assert await ground.ask(MavCommand.REQUEST_MESSAGE, asked) is MavResult.UNSUPPORTED
+
+
+@pytest.mark.parametrize("name", OF_FLIGHTS)
+async def test_where_a_flight_leads_is_shown_as_long_as_it_flies(
+    rig: Rig, ground: Ground, name: str
+) -> None:
+    """QGroundControl draws its circle, and its mark of a go-to, from these alone."""
+    await ground.fly(5.0)
+    assert await ground.ask(MavCommand.REQUEST_MESSAGE, number(name)) == 1  # temporarily rejected
+    here = ground.last("GLOBAL_POSITION_INT")
+    latitude, longitude = here["lat"] / 1e7 + 2.25e-4, here["lon"] / 1e7  # 25 m north
+    place = (latitude, longitude, rig.ground_altitude + 6.0)
+    if name == OF_FLIGHTS[0]:
+        assert await ground.ask(MavCommand.DO_REPOSITION, 3.0, 0, 0, math.nan, *place) == 0
+    else:
+        assert await ground.ask(MavCommand.DO_ORBIT, -8.0, 2.0, 0, 0, *place) == 0
+    await rig.until(lambda: rig.speed > 1.0)
+    await anyio.sleep(3.0)
+    [found, *_] = ground.all(name)
+    lat, lon = ("lat_int", "lon_int") if name == OF_FLIGHTS[0] else ("x", "y")
+    assert found[lat] == pytest.approx(latitude * 1e7, abs=40)  # 0.5 m of a float
+    assert found[lon] == pytest.approx(longitude * 1e7, abs=40)
+    assert len(ground.all(name)) == pytest.approx(4, abs=2), "once a second"
+    assert await ground.set_mode(Mode.HOLD) == 0
+    await anyio.sleep(0.2)
+    ground.heard.clear()
+    await anyio.sleep(3.0)
+    assert ground.all(name) == []
+
+
+async def test_speeds_come_four_times_a_second(ground: Ground) -> None:
+    """QGroundControl takes ground speed and climb from VFR_HUD alone, and asks for none."""
+    ground.heard.clear()
+    await anyio.sleep(5.0)
+    assert len(ground.all("VFR_HUD")) == pytest.approx(20, abs=1)
 
 
 async def test_what_nobody_knows_is_not_a_number(ground: Ground) -> None:
