@@ -36,6 +36,7 @@ from m100link.apps.cli.serve import (
     AS_USUAL,
     IN_BROWSER,
     MOST_UNWRITTEN,
+    OF_THE_AIRCRAFT,
     PageOptions,
     RunOptions,
     Urls,
@@ -69,14 +70,7 @@ from m100link.apps.station.log_output import FlightProgress, tell_elsewhere
 from m100link.apps.station.supervisor import leave_what_stays
 from m100link.errors import UsageError
 
-_FromSettings: Any = layer_of_settings(
-    (
-        *("baud_rate", "firmware", "timeout", "acceleration"),
-        *("app_id", "key", "key_file", "level"),
-        *("app_version", "bundle_id", "max_height", "max_radius", "keep_authority"),
-        *("record", "no_record", "record_keep", "record_keep_mb"),
-    )
-)
+_FromSettings: Any = layer_of_settings(OF_THE_AIRCRAFT)
 
 
 @Parameter(name="*")

@@ -424,11 +424,13 @@ async def console(
 USUAL = ("udp://127.0.0.1:14550", "udp://127.0.0.1:14540")
 """Where ground stations and programs listen for a vehicle, as PX4's simulator knows them."""
 
-_OF_THE_AIRCRAFT = (
+OF_THE_AIRCRAFT = (
     *("baud_rate", "firmware", "timeout", "acceleration"),
     *("app_id", "key", "key_file", "level"),
     *("app_version", "bundle_id", "max_height", "max_radius", "keep_authority"),
+    *("record", "no_record", "record_keep", "record_keep_mb"),
 )
+"""Settings of each station without a page: who may fly how far, and where it is recorded."""
 
 
 @Parameter(name="*")
@@ -436,13 +438,13 @@ _OF_THE_AIRCRAFT = (
 class MavlinkOptions(
     layer_of_settings(  # type: ignore[misc] # a class that is made
         (
-            *_OF_THE_AIRCRAFT,
+            *OF_THE_AIRCRAFT,
             *("mavlink", "mavlink_to", "sysid", "autopilot", "signing_key_file"),
         ),
         {"mavlink": "--listen", "mavlink_to": "--to"},
     )
 ):
-    """Where the aircraft is, who may fly it and how far."""
+    """Where the aircraft is, who may fly it and how far, and where its flights are recorded."""
 
     run: RunOptions = AS_USUAL
 
@@ -470,11 +472,11 @@ _OF_THE_NODE = ("ros2_namespace", "ros2_node", "ros2_domain", "ros2_remap", "ros
 @dataclass(frozen=True)
 class Ros2Options(
     layer_of_settings(  # type: ignore[misc] # a class that is made
-        (*_OF_THE_AIRCRAFT, *_OF_THE_NODE),
+        (*OF_THE_AIRCRAFT, *_OF_THE_NODE),
         {name: f"--{name[5:].replace('_', '-')}" for name in _OF_THE_NODE},
     )
 ):
-    """Where the aircraft is, what it is called in the graph, and how far it may fly."""
+    """Where the aircraft is, its names in the graph, and where its flights are recorded."""
 
     run: RunOptions = AS_USUAL
 

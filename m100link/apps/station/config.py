@@ -104,8 +104,7 @@ class Settings:
         ros2_remap: Rename a topic or service, from:=to, such as ~/imu:=/imu; repeatable.
         ros2_dji_names: Also publish with the names and types of DJI's node, such as dji_sdk/imu.
         record: Folder for a flight log of each connection; m100link removes nothing there. By
-            default `serve`, `console` and `fleet agent` keep logs in m100link/flights of your state
-            folder (~/.local/state).
+            default logs are kept in m100link/flights of your state folder (~/.local/state).
         no_record: Record nothing.
         record_keep: Flight logs to keep in that default folder; m100link removes older ones of
             its own; 0 keeps all.

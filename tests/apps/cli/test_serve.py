@@ -434,17 +434,23 @@ def test_a_closed_pipe_ends_the_talk_and_nothing_else() -> None:
     assert told == []
 
 
+def _recording(state: Path, **more: str) -> dict[str, Any]:
+    """How a process runs whose flight logs are to be seen."""
+    environment = os.environ | {"XDG_STATE_HOME": str(state)} | more
+    return {"stdout": subprocess.PIPE, "text": True, "env": environment}
+
+
 # -- ``m100link mavlink`` as a process: a ground station on a real socket --------------------------
 
 
 @pytest.mark.pty
 @pytest.mark.smoke
-def test_a_ground_station_sees_the_aircraft_and_sigterm_ends_it() -> None:
+def test_a_ground_station_sees_the_aircraft_and_sigterm_ends_it(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "m100link", "mavlink", "sim://"]
     with (
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as station,
         subprocess.Popen(
-            [*command, "--listen", "udp://127.0.0.1:0"], stdout=subprocess.PIPE, text=True
+            [*command, "--listen", "udp://127.0.0.1:0"], **_recording(tmp_path)
         ) as bridge,
     ):
         assert bridge.stdout is not None
@@ -462,6 +468,7 @@ def test_a_ground_station_sees_the_aircraft_and_sigterm_ends_it() -> None:
         assert {"HEARTBEAT", "HOME_POSITION", "ATTITUDE"} <= names
         bridge.send_signal(signal.SIGTERM)
         assert bridge.wait(PATIENCE) == 0
+    assert len([*tmp_path.glob("m100link/flights/*.mcap")]) == 1, "as serve does"
 
 
 # -- ``m100link ros2`` as a process: a session of zenoh that is not ours sees the node -------------
@@ -469,7 +476,7 @@ def test_a_ground_station_sees_the_aircraft_and_sigterm_ends_it() -> None:
 
 @pytest.mark.pty
 @pytest.mark.smoke
-def test_a_session_sees_the_node_and_sigterm_ends_it() -> None:
+def test_a_session_sees_the_node_and_sigterm_ends_it(tmp_path: Path) -> None:
     zenoh: Any = pytest.importorskip("zenoh", reason="the extra ros2 is not installed")
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
@@ -478,10 +485,10 @@ def test_a_session_sees_the_node_and_sigterm_ends_it() -> None:
     config.insert_json5("listen/endpoints", place)
     config.insert_json5("scouting/multicast/enabled", "false")
     command = [sys.executable, "-m", "m100link", "ros2", "sim://", "--node", "one", "--domain", "7"]
-    environment = os.environ | {"ZENOH_CONFIG_OVERRIDE": f"connect/endpoints={place}"}
+    recording = _recording(tmp_path, ZENOH_CONFIG_OVERRIDE=f"connect/endpoints={place}")
     with (
         zenoh.open(config) as session,
-        subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment) as node,
+        subprocess.Popen(command, **recording) as node,
     ):
         ring = zenoh.handlers.RingChannel(64)
         imus = session.declare_subscriber("7/one/imu/**", ring)
@@ -497,6 +504,7 @@ def test_a_session_sees_the_node_and_sigterm_ends_it() -> None:
         node.send_signal(signal.SIGTERM)
         assert node.wait(PATIENCE) == 0
         assert next(iter(tokens)).kind == zenoh.SampleKind.DELETE
+    assert len([*tmp_path.glob("m100link/flights/*.mcap")]) == 1
 
 
 @pytest.mark.parametrize("as_json", [False, True])
