@@ -27,6 +27,7 @@ async def refused(console: Console) -> Any:
     page = await console.open()
     await look_at(page, "settings")
     await page.click("#sim-refuse")
+    await page.wait_for_selector("#sim-refuse[aria-checked=true]")
     await look_at(page, "fly")
     await press(page, "obtain")
     await page.wait_for_selector("#problem:not(:empty)")
