@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Awaitable, Callable
+from collections import deque
+from collections.abc import Awaitable, Callable, Iterable
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from m100link.aircraft.activation import ActivationProgress, activate
@@ -86,6 +87,7 @@ A = TypeVar("A")
 
 # The modules that fly are loaded when a program asks for control, before it has any: a program that
 # listens needs none of them. Addresses stand for missions until the aircraft reports one.
+_MOST_NOTES = 500  # that wait for the log
 _MISSION_STATUS, _WAYPOINT_EVENT = Address(0x02, 0x03), Address(0x02, 0x04)
 
 
@@ -121,6 +123,8 @@ class Aircraft:
         self.gimbal = AircraftGimbal(self._requests, self._telemetry)
         self.camera = AircraftCamera(self._requests)
         self.link = link
+        self._notes: deque[dict[str, Any]] = deque(maxlen=_MOST_NOTES)  # that wait for the log
+        self._noters: list[Callable[[], Iterable[dict[str, Any]]]] = [self._take_notes]
         self._at_end: list[Callable[[], Awaitable[None]]] = []  # such as of a log, after the line
         self.authority.subscribe(self._on_authority)
         self._missions = MissionWatch(link.clock)
@@ -190,6 +194,29 @@ class Aircraft:
     def statistics(self) -> LinkStatistics:
         """Counters of the link."""
         return self.link.statistics()
+
+    def note(self, event: str, **values: Any) -> None:
+        """Write an event of the program into the flight log; without a log this does nothing.
+
+        It never waits. The log takes notes ten times a second; the newest 500 wait for it.
+
+        Args:
+            event: Its subject; ``authority`` and ``connection`` are the library's.
+            values: More about it, as JSON takes it; anything else is written as text.
+        """
+        self._notes.append({"event": event, **values, "at": self.link.loop.time()})
+
+    def note_from(self, take: Callable[[], Iterable[dict[str, Any]]]) -> None:
+        """Let the flight log ask for notes ten times a second, for a program that has many.
+
+        Each has its ``event``, and its time ``at``, s on the clock of the event loop.
+        """
+        self._noters.append(take)
+
+    def _take_notes(self) -> Iterable[dict[str, Any]]:
+        taken = list(self._notes)
+        self._notes.clear()
+        return taken
 
     # -- version and activation ------------------------------------------------------------------
 

@@ -6,7 +6,7 @@ import asyncio
 import math
 import re
 from collections.abc import Callable, Coroutine, Generator, Iterable
-from dataclasses import asdict
+from dataclasses import asdict, fields, is_dataclass
 from enum import Enum
 from functools import partial
 from os import PathLike
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 _SECRET = re.compile(r"\b((?:key|app[-_ ]?id)[=: ]+)[^\s&,;]+", re.IGNORECASE)
 _KEY = re.compile(r"(?<![0-9a-f])[0-9a-f]{64}(?![0-9a-f])", re.IGNORECASE)
 
+_LONGEST = 1000  # characters of a text
 COUNTERS_S = 1.0  # between two records of the counters of the link
 
 
@@ -205,7 +206,10 @@ def be_recorded(aircraft: Aircraft, recorder: Recording) -> None:
 
 
 def observer(aircraft: Aircraft) -> Callable[[], list[Entry]]:
-    """The function that gives the log new records: each event, counters once a second."""
+    """The function that gives the log new records: each event and note, counters once a second.
+
+    A record with its own time has it as ``at``, s on the clock of the event loop.
+    """
     from m100link.log.channels import EVENT, LINK  # few programs record
 
     events = aircraft.events()
@@ -213,7 +217,9 @@ def observer(aircraft: Aircraft) -> Callable[[], list[Entry]]:
 
     def look() -> list[Entry]:
         nonlocal counted_at
-        entries: list[Entry] = []
+        entries: list[Entry] = [
+            (EVENT, _written(note)) for take in aircraft._noters for note in take()
+        ]
         while (event := events.get_nowait()) is not None:
             kind = type(event).__name__.removesuffix("Event").lower()
             values = {name: _plain(value) for name, value in event._asdict().items()}
@@ -229,12 +235,31 @@ def observer(aircraft: Aircraft) -> Callable[[], list[Entry]]:
     return look
 
 
-def _plain(value: object) -> object:
+def _written(note: dict[str, Any]) -> dict[str, Any]:
+    try:
+        return {name: _plain(value) for name, value in note.items()}
+    except Exception as error:  # noqa: BLE001 (a value that has no text costs its note alone)
+        return {"event": "note", "at": note["at"], "problem": type(error).__name__}
+
+
+def _plain(value: Any) -> Any:
+    """A value as JSON takes it, without its secrets: those are fields that repr does not show."""
     if isinstance(value, Enum):
-        return value.value
-    if value is None or isinstance(value, bool):
+        value = value.value if isinstance(value.value, str) else value.name.lower()
+    if value is None or isinstance(value, bool | int | float):
         return value
-    text = _SECRET.sub(r"\1…", str(value))
+    if isinstance(value, dict):
+        return {str(name): _plain(one) for name, one in value.items()}
+    if is_dataclass(value):
+        value = [(one.name, getattr(value, one.name)) for one in fields(value) if one.repr]
+        return {name: _plain(one) for name, one in value}
+    if hasattr(value, "_asdict"):
+        return _plain(value._asdict())
+    if isinstance(value, bytes):
+        return value.hex()
+    if isinstance(value, list | tuple):
+        return [_plain(one) for one in value]
+    text = _SECRET.sub(r"\1…", str(value)[:_LONGEST])
     return _KEY.sub("…", text)
 
 

@@ -331,7 +331,9 @@ class Recorder:
         try:
             if self._loop is not None:
                 now = self._loop.time()
-                batch.entries = [(now, entry) for entry in self._look()]
+                batch.entries = [
+                    (content.pop("at", now), (topic, content)) for topic, content in self._look()
+                ]
             batch.cipher, batch.profile, batch.acceleration = self._known()
         except Exception:
             _logger.exception("%s: from here on only bytes are recorded", self.path)

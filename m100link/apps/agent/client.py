@@ -540,9 +540,16 @@ class AgentClient:
         warn("AgentClient.halt is hover now", DeprecationWarning, stacklevel=2)
         self.hover(why, lease)
 
-    async def stop(self) -> None:
-        """Stop whatever happens: motion, program, and the task that the aircraft flies."""
-        await self.ask(orders.Stop())
+    async def stop(self, name: str = "") -> None:
+        """Stop whatever happens: motion, program, and the task that the aircraft flies.
+
+        ``name``: the person or program that wants it, for the flight log.
+        """
+        try:
+            await self.ask(orders.Stop())
+        finally:
+            if name:
+                self.note(f"{name}: STOP", messages.LOG_ONLY)
 
     async def end_task(self, asked_at: float) -> float:
         """End the task that flies, by a STOP that is a step of an order of that time, s.
@@ -556,7 +563,7 @@ class AgentClient:
         return max(self._clock(), self._after_stop) if self._stops <= stops + 1 else asked_at
 
     def note(self, text: str, level: str = "info") -> None:
-        """Add an event to the agent's journal; many at once are dropped."""
+        """Add an event to the agent's journal, or to its log alone; many at once are dropped."""
         self._send(messages.JournalNote(level, text))
 
 

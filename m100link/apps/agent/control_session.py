@@ -564,7 +564,7 @@ class ControlSession:
         try:
             self.feed(_I.STOP)
         finally:  # whatever a front makes of it
-            await self._agent.stop()
+            await self._agent.stop(self.name)
 
     def begin_anew(self, why: str = "", at: float = math.inf) -> bool:
         """The operator let go of everything: motion stops, and a STOP is over. Needs the lease.

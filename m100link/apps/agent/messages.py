@@ -43,6 +43,9 @@ VERSION = 17
 LEVELS = ("info", "warning", "error")
 """How grave an event or a note is."""
 
+LOG_ONLY = "log"
+"""Level of a note that is for the flight log alone."""
+
 # -- both ways ------------------------------------------------------------------------------------
 
 
@@ -258,7 +261,7 @@ class Ask:
 class JournalNote:
     """Something that happened in the front, for the journal."""
 
-    level: str  #: ``"info"``, ``"warning"`` or ``"error"``
+    level: str  #: ``"info"``, ``"warning"``, ``"error"``, or :data:`LOG_ONLY`
     text: str  #: what happened
 
 

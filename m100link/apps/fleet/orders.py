@@ -101,7 +101,7 @@ class OrderService:
             case orders.LeaseOrder():  # its token, which is no proof here, goes to no agent
                 raise MessageError(f"a fleet has no order {asked.label}")
             case orders.Stop():
-                await client.stop()
+                await client.stop(order.by)
             case orders.Halt():
                 # Not after a STOP since it was made.
                 is_anew = asked.begins_anew and order.clock > client.stopped_at

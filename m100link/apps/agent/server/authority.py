@@ -133,6 +133,7 @@ class AuthorityManager:
         self._background = background
         self._guards = guards or Guards()
         self.state = HoldingState.NONE
+        self.cause = HoldingInput.ENDED  # what led to this state
         self.flying: ActiveFlight | None = None  # what flies; None outside a control block
         # Called after each change with the old and the new state.
         self.on_change: list[Callable[[HoldingState, HoldingState], None]] = []
@@ -184,7 +185,7 @@ class AuthorityManager:
         after = TRANSITIONS[before].get(what, before)
         if after is before:
             return False
-        self.state = after
+        self.state, self.cause = after, what
         if after is HoldingState.RELEASING:
             self._let_go.set()
         call_each(self.on_change, before, after)

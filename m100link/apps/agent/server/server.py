@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, replace
 from functools import partial
+from operator import itemgetter
 from typing import Any
 
 from m100link.aircraft import Aircraft
 from m100link.apps.agent import messages
 from m100link.apps.agent.background import TokenBucket, call_each, goes_on, ignore
 from m100link.apps.agent.lease import Flown, Lease, LeaseChange, LeaseRefused, TakeOver
-from m100link.apps.agent.orders import Halt
+from m100link.apps.agent.orders import Halt, PointGimbal, RenewLease, TurnGimbal
 from m100link.apps.agent.server.agent import Agent, Answer
+from m100link.apps.agent.server.authority import HoldingState
 from m100link.apps.agent.server.mission import push_of
 from m100link.apps.agent.transports import Channel
 from m100link.errors import AuthorityLost, GuardRefused, M100Error, NotObserved, UsageError
@@ -27,6 +29,7 @@ from m100link.protocol.codes import ActivationCode
 from m100link.protocol.firmware import PROFILES
 from m100link.telemetry.sample import Sample
 
+_AT = itemgetter(0)
 STATE_INTERVAL = 0.25
 """Seconds between two states that nothing changed in."""
 
@@ -35,7 +38,7 @@ _BOUNDS = (*(str(bound) for bound in ROUND_TRIP_BOUNDS_S), "inf")
 
 
 class AgentServer:
-    """Serves any number of fronts."""
+    """Serves any number of fronts, and the flight log."""
 
     def __init__(self, agent: Agent) -> None:
         self._agent = agent
@@ -49,12 +52,17 @@ class AgentServer:
         agent.holding.on_mission_event = self._mission_event
         agent.on_lease.append(self._lease_changed)
         agent.on_plan.append(self._tell)
+        self._log = AgentLog(agent, self._fronts)  # last: it hears of everything behind others
         agent.background.spawn(self._keep_telling(), "state")
 
     def attach(self, channel: Channel) -> None:
         """Serve the front at the other end of this channel."""
         front = ClientSession(
-            self._agent, channel, on_gone=self._fronts.discard, before_outcome=self._tell_state
+            self._agent,
+            self._log,
+            channel,
+            on_gone=self._fronts.discard,
+            before_outcome=self._tell_state,
         )
         self._tell_state()
         self._fronts.add(front)
@@ -97,6 +105,7 @@ class AgentServer:
         self._tell(messages.AuthorityTaken(messages.RemoteError.of(error)))
 
     def _mission_event(self, event: MissionEvent) -> None:
+        self._log.note("mission", report=type(event).__name__, values=event)
         push = push_of(event)
         if push is not None:
             self._tell(messages.MissionReport(*push))
@@ -201,6 +210,105 @@ class AgentServer:
         )
 
 
+# -- the flight log --------------------------------------------------------------------------------
+
+_MOST_NOTES = 300  # that wait for the log; without a connection, for that of the next one
+_ORDERS_PER_S, _MOST_ORDERS = 20.0, 100  # notes of a front; the others are counted
+_USUAL = (RenewLease, TurnGimbal, PointGimbal)  # of many alike the first is noted, or none
+_STREAM_S = 0.5  # setpoints, or turns of the gimbal, that follow each other sooner are one stream
+
+Note = tuple[float, str, dict[str, Any]]
+"""When, s; what it is about; its values."""
+
+
+class AgentLog:
+    """The orders of clients and their outcomes, for the flight log of the connection.
+
+    Nothing waits for it, and little is done for it before the log asks, ten times a second.
+    """
+
+    def __init__(self, agent: Agent, fronts: set[ClientSession]) -> None:
+        self._agent, self._fronts = agent, fronts
+        self._notes: deque[Note] = deque(maxlen=_MOST_NOTES)
+        self._known: dict[str, Any] = {}  # of the state, as it was noted last
+        self._event = 0  # number of the last event that was noted
+        self._began_at = 0.0
+        agent.holding.on_change.append(self._control)
+        agent.on_lease.append(self._lease)
+        agent.on_plan.append(self._plan)
+        agent.connection.on_aircraft.append(self._begin)
+        self._begin(agent.connection.aircraft)
+
+    def note(self, event: str, **values: Any) -> None:
+        self._notes.append((self._agent.now, event, values))
+
+    def left(self, front: ClientSession, reason: str) -> None:
+        """A front has gone."""
+        self._notes.extend(front.take_notes())
+        self.note("client", name=front.name, is_there=False, reason=reason)
+
+    def _begin(self, aircraft: Aircraft | None) -> None:
+        if aircraft is None:
+            return
+        agent, self._began_at, self._known = self._agent, self._agent.now, {}
+        self.note("clients", names=sorted(front.name for front in self._fronts))
+        holder = agent.leases.holder(agent.now)
+        number, name = (holder.number, holder.name) if holder is not None else (0, "")
+        self.note("lease", why="in force", number=number, holder=name)
+        self._plan(agent.plan)
+        aircraft.note_from(self._take)
+
+    def _take(self) -> list[dict[str, Any]]:
+        """The notes since the last time, in their order."""
+        for front in self._fronts:
+            self._notes.extend(front.take_notes())
+        for event in self._agent.journal.events:
+            if event.number > self._event:
+                self._event = event.number
+                said = {"level": event.level, "text": event.text, "topic": event.topic.value}
+                self._notes.append((event.at, "journal", said))
+        self._note_state()
+        notes, self._notes = sorted(self._notes, key=_AT), deque(maxlen=_MOST_NOTES)
+        return [
+            {"event": event, **values, "at": at}
+            if at >= self._began_at
+            else {"event": event, **values, "earlier_s": self._began_at - at, "at": self._began_at}
+            for at, event, values in notes
+        ]
+
+    def _control(self, before: HoldingState, after: HoldingState) -> None:
+        self.note("control", before=before, after=after, why=self._agent.holding.cause)
+
+    def _lease(self, why: LeaseChange, lease: Lease | None, flown: Flown) -> None:
+        number, name = (lease.number, lease.name) if lease is not None else (0, "")
+        self.note("lease", why=why, number=number, holder=name, flown=flown)
+
+    def _plan(self, plan: messages.PlanChanged) -> None:
+        uploaded = plan.plan
+        waypoints = uploaded.plan().waypoints if uploaded is not None else ()
+        places = [(one.latitude_deg, one.longitude_deg, one.height) for one in waypoints]
+        self.note("plan", name=plan.name, waypoints=places)
+
+    def _note_state(self) -> None:
+        """Note what changed of what flies, and of the limits."""
+        aircraft, flying = self._agent.connection.aircraft, self._agent.holding.flying
+        mission = aircraft.mission if aircraft is not None else MissionState()
+        guided = flying.guiding.order if flying is not None else None
+        now = {
+            "task": (flying and flying.seen_task) or "",
+            "pattern": (flying and flying.pattern) or "",
+            "guided": guided.label if guided is not None else "",
+            "steered": flying is not None and flying.is_steered,
+            "mission": mission.kind.value if mission.is_running else "",
+            "waypoint": mission.index,
+            "limits": self._agent.holding.limits,
+        }
+        changed = {name: one for name, one in now.items() if self._known.get(name) != one}
+        self._known = now
+        if changed:
+            self.note("state", **changed)
+
+
 # -- one front, as its agent sees it: its messages, the answers, and its leases --------------------
 # Nothing that a front sends raises out of here: a question has an outcome, a setpoint that is not
 # flown has an answer, and a message without a meaning ends the connection. When a front has gone,
@@ -219,25 +327,32 @@ class ClientSession:
     def __init__(
         self,
         agent: Agent,
+        log: AgentLog,
         channel: Channel,
         *,
         on_gone: Callable[[ClientSession], None],
         # Called before each outcome, so that the state is there first.
         before_outcome: Callable[[], None],
     ) -> None:
-        self._agent = agent
+        self._agent, self._log = agent, log
         self._channel = channel
         self._on_gone = on_gone
         self._before_outcome = before_outcome
-        self._name = ""  # empty until it has said hello
-        # Tokens of the leases that were granted over this channel, by number.
-        self._tokens: dict[int, str] = {}
+        self.name = ""  # empty until it has said hello
+        # The leases that were granted over this channel, by number.
+        self._leases: dict[int, Lease] = {}
         # Questions under way, by lease, 0 without one: several operators may be behind a front, and
         # those without the lease cost its holder nothing, nor the holder them.
         self._asks: Counter[int] = Counter()
         # Of these, those that were heard in this turn of the loop and begin in the next one.
         self._unbegun = 0
         self._notes = TokenBucket(_NOTES_PER_S, _MAX_NOTES)
+        self._noted: deque[Note] = deque(maxlen=_MOST_ORDERS)  # for the flight log
+        self._allowed = TokenBucket(_ORDERS_PER_S, _MOST_ORDERS)
+        self._left_out = 0  # notes that the log does not get, since the last that it got
+        # The time of the newest of each stream, and the last refusal that was noted.
+        self._streams: dict[type[Any], float] = {}
+        self._refused: tuple[object, float] = (None, -math.inf)
         self._handlers: dict[type[Any], Callable[[Any], None]] = {
             messages.Steer: self._on_steer,
             messages.Ask: self._on_ask,
@@ -268,36 +383,39 @@ class ClientSession:
 
     def close(self, reason: str) -> None:
         self._channel.close(reason)
-        self._leave(LeaseChange.RELEASED)
+        self._leave(LeaseChange.RELEASED, reason)
 
     def _closed(self, reason: str) -> None:
-        self._leave(LeaseChange.FRONT_LOST)
+        self._leave(LeaseChange.FRONT_LOST, reason)
 
-    def _leave(self, why: LeaseChange) -> None:
+    def _leave(self, why: LeaseChange, reason: str) -> None:
         self._on_gone(self)
-        for token in list(self._tokens.values()):
+        for lease in list(self._leases.values()):
             try:
-                self._agent.leases.release(token, self._agent.now, why)
+                self._agent.leases.release(lease.token, self._agent.now, why)
             except LeaseRefused:
                 pass  # another one has it by now
             else:
-                self._agent.journal.note(f"{self._name} has gone", "warning")
-        self._tokens.clear()
+                self._agent.journal.note(f"{self.name} has gone", "warning")
+        self._leases.clear()
+        if self.name:
+            self._log.left(self, reason)
 
     def forget_leases(self, *, but: int) -> None:
         """Leases that have ended are of no use."""
-        self._tokens = {number: one for number, one in self._tokens.items() if number == but}
+        self._leases = {number: one for number, one in self._leases.items() if number == but}
 
     def _receive(self, message: messages.Message) -> None:
-        if isinstance(message, messages.Hello) and not self._name:
+        if isinstance(message, messages.Hello) and not self.name:
             # Fields of another version may have another meaning: nobody flies by a guess.
             if message.version != messages.VERSION:
                 self.close(f"this agent speaks version {messages.VERSION}, not {message.version}")
                 return
-            self._name = message.name or "a front"
+            self.name = message.name or "a front"
+            self._log.note("client", name=self.name, is_there=True)
             return
         handler = self._handlers.get(type(message))
-        if handler is None or not self._name:
+        if handler is None or not self.name:
             self.close(f"a front does not send {type(message).__name__} now")
         else:
             handler(message)
@@ -318,28 +436,77 @@ class ClientSession:
                     if age > 0
                     else "the clock of the front is ahead of the agent's",
                 )
-            token = self._tokens.get(steer.fence, "")
-            self._agent.steer(token, steer.setpoint, steer.lifetime)
+            lease = self._leases.get(steer.fence)
+            self._agent.steer(
+                lease.token if lease is not None else "", steer.setpoint, steer.lifetime
+            )
             self._agent.steered_at = steer.sent_at
         except M100Error as error:
             self._before_outcome()
             self.tell(messages.SteerRefused(steer.fence, messages.RemoteError.of(error)))
+            self._note_refusal(steer, error)
+        else:
+            if self._begins_stream(messages.Steer):
+                self._note("setpoints", steer.fence, setpoint=steer.setpoint)
+
+    # -- the flight log --------------------------------------------------------------------------
+
+    def take_notes(self) -> Iterator[Note]:
+        """The notes since the last time; of a flood some, and how many are left out."""
+        while self._noted:
+            at, event, values = self._noted.popleft()
+            if not self._allowed.take(at, 0.1 if values.pop("ends") else 1.0):
+                self._left_out += 1
+                continue
+            more = {"left_out": self._left_out} if self._left_out else {}
+            self._left_out = 0
+            yield at, event, values | more
+
+    def _note(self, event: str, fence: int, *, ends: bool = False, **values: Any) -> None:
+        lease = self._leases.get(fence)
+        self._left_out += len(self._noted) == _MOST_ORDERS
+        values["client"], values["by"] = self.name, lease.name if lease is not None else ""
+        values["ends"] = ends
+        self._noted.append((self._agent.now, event, values))
+
+    def _note_refusal(self, steer: messages.Steer, error: M100Error) -> None:
+        kind, now = (type(error), getattr(error, "guard", "")), self._agent.now
+        if kind != self._refused[0] or now - self._refused[1] > 1.0:
+            self._refused = kind, now
+            self._note("setpoints", steer.fence, stage="refused", **_why(error))
+
+    def _note_outcome(
+        self, ask: messages.Ask, stage: messages.Stage, error: M100Error | None
+    ) -> None:
+        order = ask.order
+        is_usual = isinstance(order, _USUAL) and error is None
+        if not is_usual or (not order.is_at_once and self._begins_stream(type(order))):
+            said: dict[str, Any] = {"arguments": order} if order.is_at_once else {}
+            said |= {"order": order.label, "id": ask.id, "stage": stage} | _why(error)
+            self._note("order", ask.fence, ends=order.ends, **said)
+
+    def _begins_stream(self, kind: type[Any]) -> bool:
+        now = self._agent.now
+        before, self._streams[kind] = self._streams.get(kind, -math.inf), now
+        return now - before > _STREAM_S
 
     # -- everything else -------------------------------------------------------------------------
 
     def _on_note(self, note: messages.JournalNote) -> None:
         if note.level in messages.LEVELS and self._notes.take(self._agent.now):
             self._agent.journal.note(_line(note.text), note.level)
+        elif note.level == messages.LOG_ONLY:
+            self._note("text", 0, text=_line(note.text))
 
     def _on_ask(self, ask: messages.Ask) -> None:
-        order, lease = ask.order, ask.fence if ask.fence in self._tokens else 0
+        order, lease = ask.order, ask.fence if ask.fence in self._leases else 0
         if order.is_at_once:
             with self._answering(ask):
                 answer = self._begin(ask)
                 if isinstance(order, Halt):
                     if self._unbegun:
                         # Orders heard earlier begin first, and end then.
-                        self._agent.background.spawn(self._hover(ask), f"hover for {self._name}")
+                        self._agent.background.spawn(self._hover(ask), f"hover for {self.name}")
                     self._report_hover(order.why)
                 self._answer(ask, messages.Stage.DONE, answer=answer)
         elif self._asks[lease] >= _MAX_ASKS and not order.ends:
@@ -348,8 +515,11 @@ class ClientSession:
         else:
             self._asks[lease] += 1
             self._unbegun += 1
-            name = f"{order.label} for {self._name}"
+            name = f"{order.label} for {self.name}"
             self._agent.background.spawn(self._carry_out(ask, lease), name)
+            if not isinstance(order, _USUAL):
+                asked = {"order": order.label, "id": ask.id, "stage": "asked", "arguments": order}
+                self._note("order", ask.fence, ends=order.ends, **asked)
 
     async def _hover(self, ask: messages.Ask) -> None:
         self._begin(ask)
@@ -358,13 +528,14 @@ class ClientSession:
         """Tell the holder that another front had it hover: its flight may have more to come."""
         agent, now = self._agent, self._agent.now
         holder = agent.leases.holder(now)
-        if holder is not None and holder.number not in self._tokens and self._notes.take(now):
+        if holder is not None and holder.number not in self._leases and self._notes.take(now):
             agent.journal.note(
-                _line(why or f"{self._name}: hover"), "info", messages.EventTopic.HALTED
+                _line(why or f"{self.name}: hover"), "info", messages.EventTopic.HALTED
             )
 
     def _begin(self, ask: messages.Ask) -> Any:
-        token = self._tokens.get(ask.fence, "")
+        lease = self._leases.get(ask.fence)
+        token = lease.token if lease is not None else ""
         accepted = (
             partial(self._answer, ask, messages.Stage.ACCEPTED) if ask.hears_begin else ignore
         )
@@ -381,7 +552,7 @@ class ClientSession:
         self._before_outcome()
         outcome = messages.OrderOutcome(ask.id, stage, messages.fault_of(error))
         if isinstance(answer, Lease):
-            self._tokens[answer.number] = answer.token
+            self._leases[answer.number] = answer
             outcome = replace(outcome, lease=answer)
         elif isinstance(answer, TakeOver):
             outcome = replace(outcome, offer=answer)
@@ -389,6 +560,7 @@ class ClientSession:
             outcome = replace(outcome, text=answer[0], number=answer[1])
         if ask.id:
             self.tell(outcome)
+        self._note_outcome(ask, stage, error)
 
     async def _carry_out(self, ask: messages.Ask, lease: int) -> None:
         self._unbegun -= 1
@@ -414,6 +586,10 @@ class ClientSession:
             fault = messages.MessageError("the agent failed", remedy="see its log; report it")
             self._answer(ask, messages.Stage.FAILED, fault)
             raise
+
+
+def _why(error: M100Error | None) -> dict[str, Any]:
+    return {} if error is None else {"error": error.error_code, "seen": _line(error.seen)}
 
 
 def _line(text: str) -> str:

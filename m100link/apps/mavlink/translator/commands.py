@@ -57,6 +57,12 @@ class Asked:
     # The zero of the altitude: sea level where the message does not say it.
     frame: int = MavFrame.GLOBAL
 
+    def __str__(self) -> str:
+        name = next((one.name for one in MavCommand if one == self.command), str(self.command))
+        values = [*self.parameters, self.x, self.y, self.z]
+        said = ", ".join("" if math.isnan(one) else f"{one:.10g}" for one in values)
+        return f"{name}({said.rstrip(', ')})"
+
 
 def read_command(message: MavlinkMessage, peer: Peer) -> Asked:
     """COMMAND_LONG or COMMAND_INT."""

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from m100link.apps.agent.background import TokenBucket
+from m100link.apps.agent.background import TokenBucket, ignore
 from m100link.apps.agent.orders import FlyAround, FlyTo
 from m100link.apps.mavlink.translator import codec
 from m100link.apps.mavlink.translator.numbers import (
@@ -471,16 +471,23 @@ def severity_of(level: str) -> Severity:
 
 
 class Texts:
-    """Texts on their way out: few at once, and none twice in two seconds."""
+    """Texts on their way out: few at once, and none twice in two seconds.
 
-    def __init__(self) -> None:
+    ``log``: takes those of the bridge itself; the agent has logged those of its own.
+    """
+
+    def __init__(self, log: Callable[[str], None] = ignore) -> None:
+        self._log = log
         self.waiting: deque[tuple[Severity, str]] = deque(maxlen=int(_AT_ONCE))
+        self._logged: deque[str] = deque(maxlen=int(_AT_ONCE))  # by the agent itself
         self._reported: dict[str, float] = {}
         self._count = 0
         self._allowed = TokenBucket(_PER_S, _AT_ONCE)
 
-    def tell(self, severity: Severity, text: str) -> None:
+    def tell(self, severity: Severity, text: str, *, is_own: bool = True) -> None:
         self.waiting.append((severity, text))
+        if not is_own:
+            self._logged.append(text)
 
     def due(self, now: float) -> Iterator[codec.MavlinkMessage]:
         """The messages; a long text comes in parts of 50 characters, four at most."""
@@ -493,6 +500,8 @@ class Texts:
                 self.waiting.appendleft(one)
                 return
             self._reported[text] = now
+            if text not in self._logged:
+                self._log(text)
             yield from self._parts(severity, text)
 
     def _parts(self, severity: Severity, text: str) -> Iterator[codec.MavlinkMessage]:

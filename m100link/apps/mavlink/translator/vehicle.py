@@ -8,7 +8,7 @@ from collections.abc import Callable
 from m100link import __version__
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.control_session import ControlSession
-from m100link.apps.agent.messages import Event, EventTopic
+from m100link.apps.agent.messages import LOG_ONLY, Event, EventTopic
 from m100link.apps.agent.orders import FlyAround, FlyTo
 from m100link.apps.mavlink.order_executor import MissionFlights
 from m100link.apps.mavlink.translator import telemetry
@@ -54,6 +54,7 @@ _AWAY_M = 0.3  # so far it may be ordered to move away from the fence while it s
 _FLIGHTS = (FlightSource.FLIGHT, FlightSource.MISSION, FlightSource.PAUSED)
 """Flights that lead back into the fence by themselves, if they lead there."""
 
+_QUESTIONS = (MavCommand.REQUEST_MESSAGE, MavCommand.SET_MESSAGE_INTERVAL)
 _PARAMETER_MESSAGES = ("PARAM_REQUEST_LIST", "PARAM_REQUEST_READ", "PARAM_SET")
 _MISSION_MESSAGES = (
     *("MISSION_COUNT", "MISSION_ITEM_INT", "MISSION_REQUEST_LIST", "MISSION_REQUEST_INT"),
@@ -72,7 +73,7 @@ class MavlinkVehicle:
         # Messages to send: to which peer, to which addresses, or None for everybody.
         self.outbox: list[tuple[MavlinkMessage, Peer | tuple[Address, ...] | None]] = []
         self.world = VehicleState(known, session)  # what is known of the aircraft
-        self._texts = telemetry.Texts()
+        self._texts = telemetry.Texts(lambda text: known.note(text, LOG_ONLY))
         self._parameters = ParameterProtocol(self.world, system)
         settings = self._parameters.values
         self._offboard = Offboard(self.world, settings)
@@ -154,10 +155,17 @@ class MavlinkVehicle:
         result = self._commands.carry_out(asked, now)
         if result is None and peer in self._arming:
             self._acknowledge(asked.command, MavResult.IN_PROGRESS, peer)
-        elif result is None:
+            return
+        if result is None:
             self._arming[peer] = now
         else:
             self._acknowledge(asked.command, result, peer)
+        self._log(asked, MavResult.IN_PROGRESS if result is None else result)
+
+    def _log(self, asked: Asked, result: MavResult) -> None:
+        """Let the flight log say who asked for what, questions apart."""
+        if asked.command not in _QUESTIONS or result is not MavResult.ACCEPTED:
+            self.world.known.note(f"{asked.peer.name}: {asked}: {result.name}", LOG_ONLY)
 
     def _acknowledge(self, command: int, result: MavResult, peer: Peer) -> None:
         fields = {
@@ -183,6 +191,7 @@ class MavlinkVehicle:
         asked = Asked(MavCommand.DO_SET_MODE, (BaseMode.CUSTOM, main, sub, math.nan), peer)
         result = self._commands.carry_out(asked, now)
         self._acknowledge(LAYOUTS["SET_MODE"].number, result or MavResult.ACCEPTED, peer)
+        self._log(asked, result or MavResult.ACCEPTED)
 
     def _parameter(self, message: MavlinkMessage, peer: Peer, now: float) -> None:
         is_others = self.manager.other_operator(peer) is not None
@@ -387,7 +396,7 @@ class MavlinkVehicle:
 
     def event(self, event: Event) -> None:
         """An event of the agent becomes a text for people."""
-        self._texts.tell(telemetry.severity_of(event.level), event.text)
+        self._texts.tell(telemetry.severity_of(event.level), event.text, is_own=False)
         if event.topic in (EventTopic.STOPPED, EventTopic.HALTED):
             is_stop = event.topic is EventTopic.STOPPED
             self.manager.stopped("STOP was pressed" if is_stop else event.text)

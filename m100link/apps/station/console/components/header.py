@@ -456,7 +456,8 @@ class _ShipRow:
     def _stop(self, event: GenericEventArguments) -> None:
         answer(event)
         agent, tab = self._page.tabs.agents[self._name], self._page.tab
-        stop = tab.attempt(agent.stop, replaces=self._name == tab.aircraft)
+        wanted = partial(agent.stop, tab.session.name)
+        stop = tab.attempt(wanted, replaces=self._name == tab.aircraft)
         agent.background.spawn(stop, f"stop of {tab.session.name}")
 
     def show(self, row: FleetRow) -> None:
