@@ -118,6 +118,24 @@ def facts(story: FlightSummary) -> list[tuple[str, str]]:
     return [(name, value) for name, value in found if value is not None]
 
 
+def line_quality(story: FlightSummary) -> str:
+    """The quality of the line in words; a counter that the log lacks counts as 0."""
+    line = story.line
+    causes = line.get("discards", {})
+    damaged, whole = sum(causes.values()), line.get("frames_received", 0)
+    share = 100.0 * damaged / max(1, damaged + whole)
+    rates = [value for _, value in story.curves.packages_per_s.points() if not math.isnan(value)]
+    named = ", ".join(f"{name} {count}" for name, count in causes.items() if count)
+    return (
+        f"{damaged} frames damaged or cut off ({share:.1f} %), "
+        f"{line.get('discarded_bytes', 0):,} bytes discarded" + (f" ({named})" if named else "")
+        + f"; {line.get('repeats', 0)} repeats, {line.get('expired', 0)} requests without an "
+        f"answer, {line.get('late_acks', 0)} answers late, "
+        f"{line.get('dropped_writes', 0)} frames not written; "
+        f"telemetry {min(rates, default=0):.0f} to {max(rates, default=0):.0f} packages/s"
+    )  # fmt: skip
+
+
 def _unit(value: float | None, unit: str, digits: int = 1) -> str | None:
     return None if value is None else f"{value:.{digits}f} {unit}"
 

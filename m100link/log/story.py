@@ -295,6 +295,7 @@ class FlightSummary:
         streams: When setpoints and the like were sent.
         repeats: Commands that were sent again because no answer came.
         discarded_bytes: Received bytes that belonged to no frame.
+        line: The last counters of the link, as :class:`~m100link.LinkStatistics` has them.
         ended: Why the connection ended; None when the log does not say it.
         maxima: The largest of everything.
         curves: Values over time.
@@ -313,6 +314,7 @@ class FlightSummary:
     streams: list[Span] = field(default_factory=list)
     repeats: int = 0
     discarded_bytes: int = 0
+    line: dict[str, Any] = field(default_factory=dict)
     ended: str | None = None
     maxima: Maxima = field(default_factory=Maxima)
     curves: Curves = field(default_factory=Curves)
@@ -469,6 +471,7 @@ class _CommandReader:
             self._story.control.append(Span(name, since, at))
 
     def _count(self, at: float, content: dict[str, Any]) -> None:
+        self._story.line = content
         if self._counted is not None:
             last, before = self._counted
             story = self._story

@@ -29,8 +29,9 @@ from m100link.log import Recorder, read, recover
 from m100link.log.channels import COMMAND, EVENT
 from m100link.log.channels import layout as layout_of_panels
 from m100link.log.pcapng import dissector, read_frames, write_pcapng
-from m100link.log.picture import Comparison, clock, compare, facts
+from m100link.log.picture import Comparison, clock, compare, facts, line_quality
 from m100link.log.reading import write_parquet
+from m100link.log.report import report
 from m100link.log.ros2 import write_bag
 from m100link.log.story import FlightSummary, read_story
 from m100link.wire import Cipher
@@ -401,7 +402,7 @@ def info(file: Log, /, *, firmware: AsFlown = None, json: Json = False) -> int:
     if json:
         spans = {name: [one._asdict() for one in getattr(story, name)] for name in _SPANS}
         maxima = {"maxima": asdict(story.maxima), "ended": story.ended}
-        print_json(asdict(summary) | spans | maxima)
+        print_json(asdict(summary) | spans | maxima | {"line": story.line})
         return status(flight)
     began = summary.began_utc
     when = (
@@ -420,11 +421,29 @@ def info(file: Log, /, *, firmware: AsFlown = None, json: Json = False) -> int:
     if story.ended is not None:
         out.print(f"ended: {story.ended}", markup=False)
     out.print(f"{summary.bytes_received:,} bytes received, {summary.bytes_sent:,} sent")
+    if story.line:
+        out.print(f"line: {line_quality(story)}", markup=False, soft_wrap=True)
     for topic, count in sorted(summary.messages.items()):
         out.print(f"  {count:>8}  {topic}")
     if not summary.is_whole:
         out.print(f"not whole: {summary.damage}", markup=False, soft_wrap=True)
         out.print(f"to save the rest as a whole file: m100link log recover {file}", soft_wrap=True)
+    return status(flight)
+
+
+@app.command(name="report")
+def report_file(file: Log, /, *, firmware: AsFlown = None, json: Json = False) -> int:
+    """Tell a flight in sentences: holders of control, orders and outcomes, and the end.
+
+    Names of clients are in logs of `serve`, `console`, `mavlink`, `ros2` and fleets.
+    """
+    with reading(file, passes=3) as flight:
+        said = report(flight, read_story(flight, firmware=firmware))
+    for one in said:
+        if json:
+            print_json(one._asdict())
+        else:
+            out.print(f"{one.at_s:9.1f} s  {one.text}", markup=False, soft_wrap=True)
     return status(flight)
 
 
