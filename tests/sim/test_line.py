@@ -161,6 +161,28 @@ def test_unplugged_everything_is_lost_both_ways() -> None:
     assert line.from_aircraft([], 0.41) == frames(1)
 
 
+@pytest.mark.parametrize(
+    "faults", [LineFaults(delay=0.1), LineFaults(baud_rate=9600)], ids=["delayed", "slow"]
+)
+@pytest.mark.parametrize("arrives_from", ["from_aircraft", "from_host"])
+def test_what_is_under_way_when_the_plug_is_pulled_never_arrives(
+    arrives_from: str, faults: LineFaults
+) -> None:
+    """A setpoint from before the plug was pulled would move the aircraft when it is back."""
+    line = Line(Random(SEED), faults, to_aircraft=faults)
+    carry_: Any = getattr(line, arrives_from)
+    sent, nothing = (frames(1), []) if arrives_from == "from_aircraft" else (frames(1)[0], b"")
+    assert carry_(sent, 0.0) == []
+    line.unplug()
+    assert line.next_wakeup() is None
+    line.replug()
+    assert carry_(nothing, 9.0) == []
+    way = line.to_host if arrives_from == "from_aircraft" else line.to_aircraft
+    assert way.lost == 1
+    assert carry_(sent, 10.0) == []
+    assert carry_(nothing, 11.0) == frames(1)
+
+
 def test_each_direction_may_have_faults_of_its_own() -> None:
     line = Line(Random(SEED), NO_FAULTS, to_aircraft=LineFaults(loss=1.0))
     assert line.from_aircraft(frames(1), 0.0) == frames(1)
