@@ -232,6 +232,19 @@ def test_values_beyond_the_range_are_flown_as_far_as_the_airframe_can(
     assert getattr(host.motion, read) == pytest.approx(limit, rel=0.01)
 
 
+@pytest.mark.parametrize(
+    ("asked", "flown"), [(270.0, 180.0), (-270.0, -180.0), (179.0, 179.0), (-179.0, -179.0)]
+)
+def test_a_heading_beyond_180_degrees_is_180_degrees(asked: float, flown: float) -> None:
+    """Document 3.2: -180 to 180, clockwise from north; beyond it nothing wraps to the west."""
+    host = airborne(heading_deg=math.copysign(100.0, asked))
+    for _ in range(300):
+        host.send(Move(0x40, 0.0, 0.0, 0.0, asked).encode(host.profile), session=0)
+        host.wait(0.02)
+    error = math.remainder(math.degrees(host.motion.yaw) - flown, 360.0)
+    assert error == pytest.approx(0.0, abs=0.3)
+
+
 def test_a_height_below_the_ground_is_the_ground() -> None:
     """It slows down before the ground, and does not come at 4 m/s."""
     speeds = []

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from random import Random
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 
@@ -50,6 +52,28 @@ def test_a_loss_of_authority_is_counted_and_ends_what_the_onboard_device_wanted(
     assert vehicle.flight.setpoint is None
     fly(vehicle, 1.0)
     assert vehicle.authority_losses == 1
+
+
+@pytest.mark.parametrize("flies_on", [False, True])
+@pytest.mark.parametrize("is_failsafe", [False, True])
+def test_only_a_mission_that_may_fly_without_a_remote_outlives_the_failsafe(
+    is_failsafe: bool, flies_on: bool
+) -> None:
+    """Every other change of control ends what the onboard device wanted, a mission too."""
+    vehicle = airborne()
+    vehicle.flight.move(Setpoint.velocity(north=2.0, east=0.0, up=0.0, yaw_rate_deg_s=0.0))
+    vehicle.missions.running = cast(Any, SimpleNamespace(flies_without_rc=flies_on))
+    before = vehicle.flight.interruptions
+    if is_failsafe:
+        vehicle.authority.failsafe = True
+    else:
+        vehicle.remote.set_mode(RcMode.P)
+    vehicle.refresh()
+    assert vehicle.authority.device is Device.RC
+    assert vehicle.authority_losses == 1
+    goes_on = is_failsafe and flies_on
+    assert (vehicle.flight.setpoint is not None) is goes_on
+    assert vehicle.flight.interruptions - before == (0 if goes_on else 1)
 
 
 def test_equal_seeds_give_equal_weather_and_measurements() -> None:
