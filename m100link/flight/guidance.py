@@ -139,9 +139,9 @@ class _Stillness:
 
     def __init__(self, state: AircraftState) -> None:
         self._state = state
-        self._since: float | None = None
-        self._from: _Pose = None, None
-        self._looked_at, self._way = 0.0, 0j  # that velocities have led since, m north and east
+        self._from: _Pose = None, None  # from which any pose is a movement: the first look begins
+        self._since = self._looked_at = 0.0
+        self._way = 0j  # that velocities have led since, m north and east
 
     def is_too_long(
         self, now: float, slack: float, setpoint: Setpoint, found: GuidanceProgress
@@ -152,7 +152,7 @@ class _Stillness:
             or abs(found.heading_error_deg) >= _ASKED_DEG
         )
         here = known(self._state, Position), known(self._state, Attitude)
-        if self._since is None or not is_asked or _has_moved(self._from, here):
+        if not is_asked or _has_moved(self._from, here):
             self._since, self._from, self._way, self._looked_at = now, here, 0j, now
         if setpoint.mode.horizontal is Horizontal.VELOCITY:
             self._way += complex(setpoint.x, setpoint.y) * (now - self._looked_at)

@@ -121,6 +121,15 @@ def test_nothing_moves_for_six_seconds_or_as_long_as_a_metre_takes(
     assert over[:1] == ([] if after_s is None else [after_s])
 
 
+@pytest.mark.parametrize("pose", [(), (at(),), (turned(9.0),), (at(), turned(9.0))])
+def test_the_first_look_begins_the_time_whatever_the_clock_says(pose: tuple[Any, ...]) -> None:
+    """A loop that begins an hour after its computer has six seconds for its first metre."""
+    stillness = _Stillness(cast(Any, State(*pose)))
+    assert not stillness.is_too_long(3600.0, 0.0, FAST, missing(distance=9.0))
+    assert not stillness.is_too_long(3605.9, 0.0, FAST, missing(distance=9.0))
+    assert stillness.is_too_long(3606.0, 0.0, FAST, missing(distance=9.0)) is bool(pose)
+
+
 def test_movement_and_arrival_begin_the_time_anew() -> None:
     state = State(at(), turned(0.0))
     stillness, far = _Stillness(cast(Any, state)), missing(distance=9.0)
