@@ -76,8 +76,8 @@ class Peers:
         self._heard: dict[Peer, float] = {}
         self.refused = 0
 
-    def heartbeat(self, peer: Peer, now: float) -> None:
-        """It is there, and one of the peers unless these are too many.
+    def heartbeat(self, peer: Peer, now: float) -> bool:
+        """It is there, and one of the peers unless these are too many; True if it is a new one.
 
         ``now``: s.
         """
@@ -85,8 +85,10 @@ class Peers:
             self.forget(now)
             if len(self._heard) >= MOST_PEERS:
                 self.refused += 1
-                return
+                return False
+        is_new = not self.knows(peer, now)
         self._heard[peer] = now
+        return is_new
 
     def knows(self, peer: Peer, now: float) -> bool:
         """Whether it has been heard lately: others are not obeyed, and not answered."""
@@ -213,7 +215,9 @@ class Bridge:
         if message.system in self._ours:
             return
         if message.name == "HEARTBEAT":
-            self.peers.heartbeat(peer, now)
+            if self.peers.heartbeat(peer, now):
+                for vehicle in self.vehicles:
+                    vehicle.greet(peer)
         elif self.peers.knows(peer, now):
             for vehicle in self.vehicles:
                 vehicle.receive(message, peer, now)

@@ -64,6 +64,17 @@ async def test_a_peer_is_forgotten_when_it_is_silent(rig: Rig, ground: Ground) -
     assert len(ground.heard) == known
 
 
+async def test_a_new_peer_hears_once_that_this_is_no_ardupilot(rig: Rig, ground: Ground) -> None:
+    """Programs for ArduPilot wait for its messages for ever, and said nothing of the reason."""
+    text = "DJI M100: modes of PX4, no programs for ArduPilot"
+    other = Ground(rig, ("127.0.0.1", 7000), 246)
+    ground.heard.clear()
+    other.beat()
+    await anyio.sleep(5.0)
+    assert other.texts.splitlines().count(text) == 1
+    assert text not in ground.texts
+
+
 async def test_there_are_never_more_than_a_few_peers(rig: Rig) -> None:
     for place in range(80):
         Ground(rig, ("127.0.0.1", 20000 + place), 100).beat()

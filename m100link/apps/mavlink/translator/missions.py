@@ -161,6 +161,9 @@ class MissionProtocol:
                 raise Refused(MissionResult.DENIED, why)
             if kind == MissionType.FENCE:
                 self.fence = read_fence(items)
+                if any(item["command"] == MavCommand.NAV_FENCE_RETURN_POINT for item in items):
+                    text = "fence: its return point is only stored: at the fence the aircraft holds"
+                    self._tell(Severity.WARNING, text)
             elif kind == MissionType.RALLY:
                 # Kept for programs that want them back; nobody may believe in them.
                 self._tell(Severity.WARNING, "rally points are only stored: return goes home")
@@ -460,6 +463,8 @@ def read_fence(items: Sequence[MavlinkMessage]) -> Fence:
                 areas.append(_Area(_POLYGONS[command], frame, _space(*place), reach, edges))
                 waiting = []
             continue
+        if command == MavCommand.NAV_FENCE_RETURN_POINT and not waiting:
+            continue  # no area: the first item of each fence of MAVProxy and Mission Planner
         if waiting or command not in _CIRCLES:
             raise Refused(MissionResult.UNSUPPORTED, f"fence item {number}: command {command}")
         radius = float(item["param1"])

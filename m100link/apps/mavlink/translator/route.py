@@ -25,6 +25,7 @@ _LONGEST_WAIT = 600.0
 FASTEST_M_S = 10.0
 """Of a leg, and what the pilot's stick adds to a mission that the aircraft flies included."""
 
+_LOWEST_M = 1.0  # of a first place that is flown to, above the ground
 _LAST_CONDITION = 114  # up to here a command is a NAV or CONDITION item
 _CHANGES_THE_WAY = {177, 192, 3000}
 """DO_JUMP, DO_REPOSITION, VTOL transition: what is not a NAV item and moves all the same."""
@@ -140,6 +141,19 @@ class Route:
         self.then, self._is_over = Mode.LAND, True
 
 
+def _is_home(items: Sequence[MavlinkMessage], ground: float) -> bool:
+    """Whether the first item is home, as in files and uploads of MAVProxy and Mission Planner.
+
+    It is a waypoint with two of three signs: frame of the sea, on the ground, then a take-off.
+    """
+    first = items[0]
+    is_at_sea = first["frame"] in SEA_LEVEL
+    is_low = first["z"] - (ground if is_at_sea else 0.0) < _LOWEST_M
+    is_before = [item["command"] for item in items[1:2]] == [MavCommand.NAV_TAKEOFF]
+    signs = (is_at_sea, is_low, is_before)
+    return sum(signs) > 1 and bool(first["command"] == MavCommand.NAV_WAYPOINT)
+
+
 def _place(number: int, item: MavlinkMessage) -> tuple[float, float]:
     latitude, longitude = item["x"] / 1e7, item["y"] / 1e7
     if not (abs(latitude) <= 89.0 and abs(longitude) <= 180.0) or not (latitude or longitude):
@@ -185,7 +199,8 @@ def read_route(items: Sequence[MavlinkMessage], *, ground: float | None, speed: 
     """
     route = Route(ground, speed)
     for number, item in enumerate(items):
-        route.read(number, item)
+        if number or not _is_home(items, ground or 0.0):
+            route.read(number, item)
     if items and not route.legs:
         raise Refused(MissionResult.INVALID, "the mission has no place to fly to")
     return route

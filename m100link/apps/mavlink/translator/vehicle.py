@@ -46,6 +46,7 @@ _PROGRESS_S = 0.3
 _UNKNOWN_PROGRESS = 255
 _VENDOR, _PRODUCT = 0x2CA3, 0x0100  # DJI's number at the USB forum; the product is ours
 _TO_ALL = (0, COMPONENT)
+_GREETING = "DJI M100: modes of PX4, no programs for ArduPilot"
 # So far ahead the fence is looked at, s, and by so much more per m/s: it needs them to stop, from
 # 25 m/s at a tilt of 35 degrees, too.
 _AHEAD_S, _AHEAD_S2_M = 1.9, 0.042
@@ -400,6 +401,12 @@ class MavlinkVehicle:
         if event.topic in (EventTopic.STOPPED, EventTopic.HALTED):
             is_stop = event.topic is EventTopic.STOPPED
             self.manager.stopped("STOP was pressed" if is_stop else event.text)
+
+    def greet(self, peer: Peer) -> None:
+        """Say to a new peer that this is no ArduPilot: programs for that wait for its messages."""
+        self._send(
+            MavlinkMessage("STATUSTEXT", {"severity": Severity.INFO, "text": _GREETING}), peer
+        )
 
     def tell(self, text: str) -> None:
         self._texts.tell(Severity.WARNING, text)

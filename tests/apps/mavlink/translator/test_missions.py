@@ -714,6 +714,20 @@ async def test_another_ground_station_is_refused_before_its_flight_is_looked_at(
     assert await other.ask(MavCommand.DO_REPOSITION, *args) is MavResult.TEMPORARILY_REJECTED
 
 
+async def test_a_return_point_is_kept_with_its_fence_and_said_to_mean_nothing(
+    rig: Rig, ground: Ground
+) -> None:
+    """The first item of each fence of MAVProxy and Mission Planner: the whole fence was refused."""
+    given = [item(5000, 1.0, 1.0), *square(20.0)]
+    assert await Exchange(ground).upload(given, MissionType.FENCE) is MissionResult.ACCEPTED
+    await rig.until(lambda: "its return point is only stored" in ground.texts)
+    assert await Exchange(ground).upload([waypoint(15.0, 0.1), waypoint(30.0, 0.1)]) == 0
+    await ground.arm()
+    assert await ground.set_mode(Mode.MISSION) is MavResult.DENIED
+    broken = [*given[:2], given[0], *given[2:]]
+    assert await Exchange(ground).upload(broken, MissionType.FENCE) is MissionResult.UNSUPPORTED
+
+
 async def test_an_area_that_is_excluded_is_not_flown_to(rig: Rig, ground: Ground) -> None:
     given = [item(5004, 20.0, 0.01, param1=5.0)]
     assert await Exchange(ground).upload(given, MissionType.FENCE) == 0

@@ -80,7 +80,8 @@ def test_a_place_of_a_mission(command: int, given: dict[str, float], expected: R
         ([item(16, y=1_801_000_000)], MissionResult.INVALID),
         ([item(16, param1=-1.0)], MissionResult.INVALID),
         ([item(16, param1=601.0)], MissionResult.INVALID),
-        ([item(16), item(22)], MissionResult.INVALID),
+        ([item(16), item(22), item(16)], MissionResult.INVALID),
+        ([item(16), item(16), item(22)], MissionResult.INVALID),
         ([item(20), item(16)], MissionResult.INVALID),
         ([item(16), item(17), item(16)], MissionResult.INVALID),
         ([item(16), item(21), item(16)], MissionResult.INVALID),
@@ -99,6 +100,59 @@ def test_what_is_not_flown_as_it_is_said_refuses_the_mission(
     with pytest.raises(Refused) as caught:
         read(*items)
     assert caught.value.result is result
+
+
+# A made-up file as MAVProxy and Mission Planner write and upload it: number, current, frame,
+# command, four parameters, latitude, longitude, altitude, autocontinue. Item 0 is home.
+WPL = """QGC WPL 110
+0\t1\t0\t16\t0\t0\t0\t0\t-33.1240000\t151.2340000\t500.0\t1
+1\t0\t3\t22\t0\t0\t0\t0\t0\t0\t12.0\t1
+2\t0\t3\t16\t0\t0\t0\t0\t-33.1234567\t151.2345678\t20.0\t1
+3\t0\t3\t19\t5\t0\t0\t0\t-33.1235000\t151.2346000\t25.0\t1
+4\t0\t3\t20\t0\t0\t0\t0\t0\t0\t0\t1
+"""
+
+
+def of_file(text: str) -> list[MavlinkMessage]:
+    """Items as these programs upload the lines of a file."""
+    items = []
+    for line in text.splitlines()[1:]:
+        _, _, frame, command, *numbers = map(float, line.split("\t"))
+        values = dict(zip(("param1", "param2", "param3", "param4"), numbers, strict=False))
+        place = {"x": round(numbers[4] * 1e7), "y": round(numbers[5] * 1e7), "z": numbers[6]}
+        items.append(item(int(command), **values, **place, frame=int(frame)))
+    return items
+
+
+def test_the_first_item_of_a_file_of_mission_planner_is_home() -> None:
+    """It was a place to fly to, and the take-off behind it one in the air."""
+    route = read(*of_file(WPL))
+    assert [(one.item, one.order.height, one.wait) for one in route.legs] == [
+        (2, 20.0, 0.0),
+        (3, 25.0, 5.0),
+    ]
+    assert (route.height, route.then) == (12.0, Mode.RTL)
+
+
+@pytest.mark.parametrize(
+    ("first", "is_home"),
+    [
+        (item(16, frame=GLOBAL, z=GROUND), True),
+        (item(16, frame=GLOBAL, z=GROUND + 0.9), True),
+        (item(16, frame=GLOBAL, z=0.0), True),  # as some programs write it
+        (item(16, frame=GLOBAL, z=GROUND + 1.1), False),
+        (item(16, z=0.5), False),
+        (item(19, frame=GLOBAL, z=GROUND + 8.0), False),
+    ],
+)
+def test_a_first_waypoint_on_the_ground_is_home_without_a_take_off(
+    first: MavlinkMessage, is_home: bool
+) -> None:
+    assert [one.item for one in read(first, item(16)).legs] == ([1] if is_home else [0, 1])
+
+
+def test_a_first_waypoint_of_relative_height_zero_is_home_before_a_take_off() -> None:
+    assert [one.item for one in read(item(16, z=0.0), item(22), item(16)).legs] == [2]
 
 
 def test_an_altitude_above_the_sea_needs_that_of_the_ground() -> None:
