@@ -120,7 +120,7 @@ def same(found: MavlinkMessage, given: Item) -> bool:
 
 @pytest.mark.parametrize(("count", "loss"), [(3, 0.0), (200, 0.0), (40, 0.3)])
 async def test_a_mission_comes_down_as_it_went_up(ground: Ground, count: int, loss: float) -> None:
-    items = [waypoint(5.0 + place % 7, 3.0, 5.0 + place / 4) for place in range(count)]
+    items = [waypoint(5.0 + place % 7, 3.0, 5.0 + place / 8) for place in range(count)]
     exchange = Exchange(ground, loss=loss)
     assert await exchange.upload(items) is MissionResult.ACCEPTED
     found = await exchange.download()

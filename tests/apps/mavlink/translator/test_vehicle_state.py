@@ -289,6 +289,7 @@ def test_no_two_modes_have_one_number() -> None:
 
 PREFIXES: dict[type[enum.IntEnum] | type[enum.IntFlag], str] = {
     numbers.MavResult: "MAV_RESULT_{}",
+    numbers.ParamError: "MAV_PARAM_ERROR_{}",
     numbers.Severity: "MAV_SEVERITY_{}",
     numbers.SystemStatus: "MAV_STATE_{}",
     numbers.BaseMode: "MAV_MODE_FLAG_{}",
