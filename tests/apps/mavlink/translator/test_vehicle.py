@@ -193,6 +193,7 @@ async def test_another_client_that_has_control_is_named(rig: Rig, ground: Ground
 
 async def test_a_long_text_comes_in_parts(rig: Rig, ground: Ground) -> None:
     text = "x" * 120
+    ground.heard.clear()
     rig.agent.journal.note(text)
     await rig.until(lambda: len(ground.all("STATUSTEXT")) >= 3)
     parts = [one for one in ground.all("STATUSTEXT") if one["id"]][-3:]
