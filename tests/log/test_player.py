@@ -68,6 +68,48 @@ async def test_its_clock_begins_where_that_of_the_event_loop_stands(
     assert begun.utc_offset_s == pytest.approx(player.begin.utc + from_s - now)
 
 
+async def test_its_clock_is_so_many_times_as_fast_and_stops_where_something_is_due(
+    player: Player,
+) -> None:
+    """Before it plays: a clock that its own timers wait for would never end the test."""
+    loop, end = asyncio.get_running_loop(), player.begin.duration_s
+    for speed in (0.1, 0.5, 1.0, 4.0, 100.0):
+        now, begun = loop.time(), Player(player.flight, player.begin, speed=speed, from_s=2.0)
+        await asyncio.sleep(0.03)
+        assert begun.position_s == pytest.approx(2.0 + 0.03 * speed)
+        assert begun.time() == pytest.approx(now + 0.03 * speed)
+        begun.pause()
+        await asyncio.sleep(5.0)
+        assert begun.position_s == pytest.approx(2.0 + 0.03 * speed)
+        begun.resume()
+        await asyncio.sleep(2.0 * end / speed)
+        assert begun.position_s == pytest.approx(end)
+        assert begun.time() == pytest.approx(now + end - 2.0)
+
+
+async def test_it_wakes_when_something_is_due_and_not_again_and_again_before(
+    player: Player, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A timer that comes too early and is set anew for less each time would never let time pass."""
+    wakes, go = 0, Player._go
+    reads = sum(1 for _ in player.flight.moments())
+
+    def counted(one: Player) -> None:
+        nonlocal wakes
+        wakes += 1
+        one.stop() if wakes > 3 * reads else go(one)
+
+    monkeypatch.setattr(Player, "_go", counted)
+    for speed in (0.5, 4.0):
+        wakes, played = 0, Player(player.flight, player.begin, speed=speed)
+        played.play(Heard(player).stage())
+        await asyncio.sleep(player.begin.duration_s / speed - 0.01)
+        ends = [played.is_at_end]
+        await asyncio.sleep(0.02)
+        assert [*ends, played.is_at_end] == [False, True]
+        assert wakes <= 2 * reads + 2
+
+
 async def test_it_stands_still_and_goes_on_where_it_stood(player: Player) -> None:
     heard = Heard(player)
     player.play(heard.stage())
