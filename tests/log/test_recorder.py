@@ -13,6 +13,7 @@ import subprocess
 import sys
 import threading
 import time
+import zlib
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -59,6 +60,37 @@ async def test_every_byte_of_the_flight_is_in_its_log(tmp_path: Path) -> None:
         [one.received_at for one in seen], abs=2e-6
     )
     assert max(log.table(Position).column("position.height_m")) > 1.5
+
+
+def records_of(data: bytes) -> list[tuple[int, int, bytes]]:
+    """Offset, opcode and content of each record between the magics of an MCAP file."""
+    found, at = [], 8
+    while at < len(data) - 8:
+        size = int.from_bytes(data[at + 1 : at + 9], "little")
+        found.append((at, data[at], data[at + 9 : at + 9 + size]))
+        at += 9 + size
+    assert at == len(data) - 8
+    return found
+
+
+async def test_each_byte_of_a_log_is_under_a_checksum(tmp_path: Path) -> None:
+    """MCAP: CRC-32 of each chunk, of the data section and of the summary; 0 is none at all."""
+    path = tmp_path / "flight.mcap"
+    await fly(path)
+    data = path.read_bytes()
+    records = records_of(data)
+    chunks = [content for _, opcode, content in records if opcode == 0x06]
+    assert chunks
+    assert all(any(content[24:28]) for content in chunks)
+    [(ends_at, end)] = [(at, content) for at, opcode, content in records if opcode == 0x0F]
+    assert int.from_bytes(end[:4], "little") == zlib.crc32(data[:ends_at]) != 0
+    at, opcode, footer = records[-1]
+    assert opcode == 0x02
+    summary_at = int.from_bytes(footer[:8], "little")
+    assert ends_at < summary_at < at
+    # Up to the checksum itself: the footer's head and the two offsets in it count, too.
+    summary = data[summary_at : at + 9 + 16]
+    assert int.from_bytes(footer[16:20], "little") == zlib.crc32(summary) != 0
 
 
 async def test_what_was_commanded_is_reported_with_its_answer(tmp_path: Path) -> None:
