@@ -11,9 +11,10 @@ import pytest
 from m100link.apps.agent import orders
 from m100link.apps.agent.messages import MessageError
 from m100link.apps.fleet.keys import Keys
+from m100link.apps.fleet.missions import flight
 from m100link.apps.fleet.missions.flight import FleetMission, MissionOrders, mission_card
 from m100link.apps.fleet.payloads import MissionCard, MissionStage, pack
-from m100link.errors import M100Error, NotObserved, OutcomeUnknown, Unreachable
+from m100link.errors import M100Error, MissionAborted, NotObserved, OutcomeUnknown, Unreachable
 from m100link.flight.missions.events import (
     Finished,
     MissionEvent,
@@ -276,6 +277,49 @@ async def test_the_end_of_one_that_was_stopped_is_said_once(
     other = mission()
     other._note(a_card(MissionStage.STARTING))
     assert not other.is_over
+
+
+@pytest.mark.parametrize(
+    ("stage", "boot", "digest", "says"),
+    [
+        (MissionStage.STARTING, "run", "mine", None),
+        (MissionStage.FLYING, "run", "mine", None),
+        (MissionStage.FLYING, "run", "", None),  # the aircraft says that it flies, not which
+        (MissionStage.OVER, "run", "mine", None),
+        (MissionStage.NONE, "run", "", None),
+        (MissionStage.FLYING, "later", "mine", "restarted"),
+        (MissionStage.UPLOADED, "later", "other", "restarted"),
+        (MissionStage.FLYING, "run", "other", "another plan"),
+        (MissionStage.OVER, "run", "other", "another plan"),
+        (MissionStage.UPLOADED, "run", "other", "another plan"),
+        (MissionStage.UPLOADED, "run", "mine", "another plan"),  # the same one, once more
+        (MissionStage.UPLOADED, "run", "", "another plan"),
+    ],
+)
+async def test_a_mission_whose_place_another_one_took_is_not_reported_as_ours(
+    monkeypatch: pytest.MonkeyPatch,
+    stage: MissionStage,
+    boot: str,
+    digest: str,
+    says: str | None,
+) -> None:
+    """A plan that only waits on board flies nowhere, whatever flew before."""
+
+    async def card_of(_: Any) -> MissionCard:
+        return MissionCard("a1", boot, stage, digest=digest)
+
+    monkeypatch.setattr(flight, "mission_card", card_of)
+    one = mission()
+    one._boot, one._digest = "run", "mine"
+    if says is None:
+        assert (await one.look()).stage is stage
+        assert one.is_over is (stage in (MissionStage.OVER, MissionStage.NONE))
+        return
+    error = OutcomeUnknown if says == "restarted" else MissionAborted
+    with pytest.raises(error, match=says):
+        await one.look()
+    assert not one._events
+    assert not one.is_over
 
 
 async def test_a_speed_is_in_metres_and_answered_in_millimetres() -> None:
