@@ -277,7 +277,6 @@ class NumberField:
     ) -> None:
         self._wording, self.kind, self._limits = wording, kind, limits
         self._value, self._changed = value, changed
-        self._is_showing = False  # what is set then was not typed
         # The number on the page, in the operator's unit.
         self.element = ui.number(step=step).props(f"dense outlined {props}")
         self.element.on_value_change(self._typed)
@@ -307,7 +306,7 @@ class NumberField:
         return round(self._wording.settings.units.convert(value, self.kind), _DIGITS)
 
     def _show(self) -> None:
-        self._is_showing = True
+        self._is_showing = True  # what is set now was not typed
         low, high = self.shown_limits
         if low is not None:
             self.element.min = low

@@ -26,7 +26,12 @@ from nicegui.page import page as page_of_nicegui
 from m100link.apps.agent import orders
 from m100link.apps.station.config import Video
 from m100link.apps.station.console.components import fly, header, plan, settings
-from m100link.apps.station.console.components.component import Buttons, PageContext, Wording
+from m100link.apps.station.console.components.component import (
+    Buttons,
+    NumberField,
+    PageContext,
+    Wording,
+)
 from m100link.apps.station.console.components.map import ClickPart, MapPart
 from m100link.apps.station.console.kept import PlotHistory
 from m100link.apps.station.console.view import fly as view_of_fly
@@ -38,6 +43,7 @@ from m100link.apps.station.console.view.situation import AlarmLevel, Situation
 from m100link.apps.station.console.view.texts import (
     DisplaySettings,
     LengthUnit,
+    QuantityKind,
     SpeedUnit,
     Text,
     Theme,
@@ -176,6 +182,78 @@ def here(monkeypatch: pytest.MonkeyPatch) -> Iterator[Here]:
     monkeypatch.setattr(ui, "timer", lambda *_, **__: None)
     yield made
     Client.instances.pop(made.client.id, None)
+
+
+# -- a number is typed in the operator's unit, and kept in that of the protocol --------------------
+
+
+def height_field(here: Here, **options: Any) -> tuple[NumberField, list[float | None]]:
+    """Of a height in m, of at most 120 m, and what somebody typed into it so far."""
+    typed: list[float | None] = []
+    options = {"kind": QuantityKind.LENGTH, "limits": (2.0, 120.0), "value": 30.0, **options}
+    with here.client:
+        field = NumberField(here.wording, "actions.height", "", changed=typed.append, **options)
+    return field, typed
+
+
+def test_a_number_is_typed_from_the_first_on_in_the_unit_that_is_shown(here: Here) -> None:
+    """A foot is 0.3048 m. What the page shows by itself was typed by nobody."""
+    field, typed = height_field(here)
+    with here.client:
+        assert (field.element.value, field.value) == (30.0, 30.0)
+        field.element.set_value(25.0)
+        assert (field.value, typed) == (25.0, [25.0])
+        here.wording.choose(replace(here.wording.settings, length=LengthUnit.FOOT))
+        assert (field.element.value, field.value) == (82.02, 25.0)
+        assert field.shown_limits == (6.56, 393.7)
+        assert (field.element.min, field.element.max) == (6.56, 393.7)
+        field.element.set_value(100.0)
+        assert field.value == typed.pop() == pytest.approx(30.48)
+        field.set(91.44)  # 300 ft are more than the limit as a number of metres
+        here.wording.choose(replace(here.wording.settings, length=LengthUnit.METRE))
+        assert (field.element.value, field.value, typed) == (91.44, 91.44, [25.0])
+        here.wording.choose(replace(here.wording.settings, length=LengthUnit.FOOT))
+        field.set(3.048)
+        assert (field.element.value, field.value) == (10.0, 3.048)
+        here.wording.choose(replace(here.wording.settings, length=LengthUnit.METRE))
+        assert (field.element.value, field.value) == (3.05, 3.048)
+        assert typed == [25.0]
+        field.element.set_value(None)
+        assert (field.value, typed) == (None, [25.0, None])
+        field.element.set_value(3.05)
+        assert (field.value, typed) == (3.05, [25.0, None, 3.05])
+
+
+def test_a_number_without_a_unit_is_the_same_in_every_unit(here: Here) -> None:
+    field, typed = height_field(here, kind=None, limits=(None, 8.0), value=None)
+    with here.client:
+        here.wording.choose(replace(here.wording.settings, length=LengthUnit.FOOT))
+        field.element.set_value(7)
+    assert (field.value, typed, field.shown_limits) == (7, [7], (None, 8.0))
+
+
+# -- the pad: mode 2, the left stick climbs and turns ----------------------------------------------
+
+
+def test_the_pad_has_the_sticks_of_mode_2_and_a_button_for_each_step_of_speed(here: Here) -> None:
+    """Each axis is positive to the right, or up, as docs/howto/console.md says."""
+    here.make(fly.SticksPart)
+    shown = [one.props for one in here.client.elements.values()]
+    sticks = [(one["data-axes"], one["aria-label"]) for one in shown if "data-axes" in one]
+    assert sticks == [
+        ("turn,up", "stick: climb and turn"),
+        ("right,forward", "stick: move"),
+    ]
+    steps = [
+        (
+            one.props["data-steer"],
+            one.props["aria-label"],
+            cast(Any, one.default_slot.children[0]).text,
+        )
+        for one in here.client.elements.values()
+        if one.props.get("data-steer") in ("slower", "faster")
+    ]
+    assert steps == [("slower", "slower", "−"), ("faster", "faster", "+")]
 
 
 # -- orders ---------------------------------------------------------------------------------------
