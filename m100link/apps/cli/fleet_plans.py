@@ -115,7 +115,7 @@ def _ask(what: str, question: str) -> None:
     """Whether it may begin. Raises UsageError: nobody says so."""
     if not sys.stdin.isatty():
         raise UsageError(f"no terminal to ask whether {what}", remedy="--yes")
-    if input(f"{question} [y/N] ").lower() != "y":
+    if input(f"{question} [y/N] ").lower() not in ("y", "yes"):
         raise UsageError("nothing was begun")
 
 

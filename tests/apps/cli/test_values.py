@@ -12,7 +12,7 @@ import signal
 import sys
 import time
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -56,7 +56,8 @@ from m100link.flight.missions.events import (
 from m100link.flight.tasks import TaskProgress
 from m100link.geodesy import LocalFrame
 from m100link.link.statistics import RoundTrips
-from m100link.missions.plan import AtEnd
+from m100link.missions.plan import AtEnd, WaypointPlan
+from m100link.missions.waypoint import Waypoint
 from m100link.protocol import Battery, FlightPhase, FlightStatus, Position, Velocity
 from m100link.protocol.commands.control import Task
 from m100link.protocol.firmware import PROFILES
@@ -209,6 +210,33 @@ async def test_yes_is_yes(answer: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "stdin", SimpleNamespace(isatty=lambda: True))
     monkeypatch.setattr(flight, "read_line", read_line)
     await flight.confirm(measured(), "take off")
+
+
+@pytest.mark.parametrize("answer", ["y", "Y", "yes", "YES", "", "n", "no", "j", "yess", "1"])
+@pytest.mark.parametrize(
+    ("take_off", "question"),
+    [(True, "take off and fly this mission?"), (False, "fly this mission?")],
+)
+def test_a_mission_of_a_fleet_is_flown_by_a_yes_alone(
+    monkeypatch: pytest.MonkeyPatch, answer: str, take_off: bool, question: str
+) -> None:
+    asked: list[str] = []
+
+    def answered(text: str) -> str:
+        asked.append(text)
+        return answer
+
+    monkeypatch.setattr("builtins.input", answered)
+    plan = WaypointPlan([Waypoint(52.0, 4.3, height=20.0), Waypoint(52.001, 4.3, height=20.0)])
+    monkeypatch.setattr(sys, "stdin", SimpleNamespace(isatty=lambda: False))
+    with pytest.raises(UsageError, match="no terminal to ask whether kite may fly this"):
+        fleet_plans._confirm("kite", plan, take_off=take_off)
+    assert asked == []
+    monkeypatch.setattr(sys, "stdin", SimpleNamespace(isatty=lambda: True))
+    is_yes = answer.lower() in ("y", "yes")
+    with nullcontext() if is_yes else pytest.raises(UsageError, match="nothing was begun"):
+        fleet_plans._confirm("kite", plan, take_off=take_off)
+    assert asked == [f"{question} [y/N] "]
 
 
 @pytest.mark.parametrize(
