@@ -22,7 +22,7 @@ from m100link.log.channels import (
     FrameInterpreter,
 )
 from m100link.protocol.firmware import FIRMWARE_3_1, profile
-from m100link.protocol.records import Position
+from m100link.protocol.records import Acceleration, AccelerationMode, Attitude, Position, quaternion
 from m100link.wire import Cipher, encode_frame
 from tests.known import LATITUDE, LONGITUDE, package, position
 from tests.log.flight import URL, fly
@@ -130,6 +130,30 @@ def seen(witness: FrameInterpreter, *packages: dict[str, Any]) -> list[tuple[str
             FIRMWARE_3_1,
         )
     ]
+
+
+@pytest.mark.parametrize(
+    ("mode", "north_east_up"),
+    [
+        # The nose points east. 0.1 g forward, 0.2 g right and 1.5 g against gravity.
+        (AccelerationMode.RAW, (-1.96133, 0.980665, 4.903325)),
+        (AccelerationMode.FUSED, (0.1, 0.2, -1.5)),
+        (None, None),
+    ],
+)
+def test_acceleration_is_logged_in_metres_to_the_north_the_east_and_up_or_not_at_all(
+    mode: AccelerationMode | None, north_east_up: tuple[float, ...] | None
+) -> None:
+    """Raw values are forward, right and down in g, with gravity: other axes, and off by 9.8."""
+    witness = FrameInterpreter(0.0)
+    witness.acceleration.fix(mode)
+    east = Attitude(*quaternion(0.0, 0.0, math.pi / 2))
+    usual = {"changed": (east, Acceleration(0.1, 0.2, -1.5))}
+    rows = [told for topic, told in seen(witness, usual, usual) if topic == TELEMETRY]
+    assert len(rows) == 2
+    for row in rows:
+        found = [value for name, value in row.items() if name.startswith("acceleration.")]
+        assert found == ([] if north_east_up is None else pytest.approx(north_east_up, abs=1e-5))
 
 
 def test_a_place_is_a_fix_in_degrees() -> None:

@@ -14,7 +14,7 @@ import pytest
 
 from m100link.errors import UsageError
 from m100link.log import read
-from m100link.log.picture import page, panels, picture
+from m100link.log.picture import facts, page, panels, picture
 from m100link.log.story import Curve, FlightSummary, Moment, Span, read_story
 from tests.log.flight import fly
 
@@ -99,6 +99,24 @@ async def test_a_flight_is_a_page_with_its_track_and_what_happened(tmp_path: Pat
 def test_a_story_of_nothing_but_time_is_a_page(duration: float) -> None:
     text = checked(FlightSummary("empty.mcap", 0.0 if duration else None, duration))
     assert "No position that can be trusted" in text
+
+
+@pytest.mark.parametrize(
+    ("climb", "descent", "shown"),
+    [
+        (3.21, 1.5, "3.2 / 1.5 m/s"),
+        (-0.4, 1.0, "0.0 / 1.0 m/s"),  # it never climbed
+        (3.21, None, None),
+        (None, 1.5, None),
+        (None, None, None),
+    ],
+)
+def test_a_climb_is_shown_with_its_descent_or_not_at_all(
+    climb: float | None, descent: float | None, shown: str | None
+) -> None:
+    story = FlightSummary("a.mcap")
+    story.maxima.climb_m_s, story.maxima.descent_m_s = climb, descent
+    assert dict(facts(story)).get("Climb / descent") == shown
 
 
 def test_what_a_log_says_is_text_and_no_markup() -> None:
