@@ -194,6 +194,20 @@ async def test_a_piece_of_another_place_or_length_is_not_taken(
         await fetcher._piece(FIRST, PIECE, 10)
 
 
+@pytest.mark.parametrize("size", [1, 9, 10])
+async def test_a_piece_may_be_shorter_than_it_was_asked_for(
+    road: Road, size: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The last byte of a log may come alone."""
+
+    async def answered(question: object) -> tuple[LogReply, bytes]:
+        return LogReply("", "a1", offset=PIECE, size=PIECE + size), b"x" * size
+
+    fetcher = road.fetcher()
+    monkeypatch.setattr(fetcher, "_ask", answered)
+    assert await fetcher._piece(FIRST, PIECE, 10) == b"x" * size
+
+
 async def test_several_fetch_at_once_and_a_slow_one_holds_up_nobody(
     road: Road, tmp_path: Path
 ) -> None:

@@ -269,6 +269,24 @@ def test_the_curve_of_distances_never_goes_below_the_nearest() -> None:
     assert all(math.isfinite(distance) for _, distance in found)
 
 
+@pytest.mark.parametrize("is_higher", ["a1", "a2"])
+@pytest.mark.parametrize("ends_first", ["a1", "a2"])
+def test_the_curve_counts_one_that_has_ended_as_landing(ends_first: str, is_higher: str) -> None:
+    """Anywhere between its last point and the ground: 5 m beside that, whatever the height."""
+    tracks = []
+    for name, east in (("a1", 0), ("a2", 5)):
+        place = 0, east, 20 if name == is_higher else 6
+        tracks.append(track(name, (0, *place), (10 if name == ends_first else 20, *place)))
+    found = distances(show_of(*tracks))
+    before = {round(distance, 3) for at, distance in found if at < 10}
+    after = {round(distance, 3) for at, distance in found if 10 <= at < 20}
+    assert len(before) == len(after) == 1
+    assert min(before) > 5.0
+    # The lower one lands below the other: the height between them is left.
+    assert after == ({5.0} if ends_first == is_higher else before)
+    assert found[-1] == pytest.approx((20.0, 5.0))  # both, seen from above
+
+
 # -- the picture of a show: well-formed, with everybody in it and what the check found -------------
 
 
