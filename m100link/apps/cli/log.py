@@ -33,6 +33,7 @@ from m100link.log.picture import Comparison, clock, compare, facts, line_quality
 from m100link.log.reading import write_parquet
 from m100link.log.report import report
 from m100link.log.ros2 import write_bag
+from m100link.log.share import share
 from m100link.log.story import FlightSummary, read_story
 from m100link.wire import Cipher
 
@@ -454,6 +455,22 @@ def events(file: Log, /) -> int:
     for message in flight.messages(COMMAND, EVENT):
         times = {"utc": round(message.utc, 6), "at": round(message.at, 6)}
         print_json(times | message.content())
+    return status(flight)
+
+
+@app.command(name="share")
+def share_file(file: Log, /, *, output: Output = None, firmware: Firmware | None = None) -> int:
+    """Write a copy for strangers: place moved, names, serial numbers and the app id out.
+
+    By default its name is FILE with ``-shared`` before the suffix. The shape of the flight, its
+    heights and its times stay, and the magnetic field as it was measured.
+    """
+    target = output or file.with_stem(f"{file.stem}-shared")
+    with reading(file, passes=3) as flight, new_file(target) as stream:
+        removed = share(flight, stream, firmware=firmware)
+    for what, count in sorted(removed.items()):
+        out.print(f"  {count:>8}  {what}", markup=False)
+    out.print(f"copy without them in {target}", soft_wrap=True)
     return status(flight)
 
 

@@ -48,8 +48,9 @@ def test_a_log_is_recorded_and_reported(cli: CommandLine, flight: Path) -> None:
     assert told["maxima"]["height_m"] == 0.0
     assert "closed" in told["ended"]
     told = [json.loads(one) for one in cli("log", "report", str(flight), "--json").out.splitlines()]
-    assert [one["text"] for one in told if one["kind"] == "flight"][0].endswith("in phase ground.")
-    assert "Sent to the aircraft: " in cli("log", "report", str(flight)).out
+    [phase] = [one["text"] for one in told if one["kind"] == "flight"]
+    assert phase.endswith("in phase ground.")
+    assert "  The connection ended: " in cli("log", "report", str(flight)).out
     assert "line: 0 frames damaged" in cli("log", "info", str(flight)).out
     text = cli("log", "info", str(flight)).out
     assert "firmware 1.0" in text

@@ -1,0 +1,229 @@
+"""A copy of a flight log for strangers: its place is moved, names and serial numbers are out.
+
+The copy is made anew from a list of content that may be in it. Anything else stays out.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import struct
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import suppress
+from typing import IO, Any
+
+from m100link.errors import LayoutMismatch
+from m100link.geodesy import LocalFrame
+from m100link.link import Direction
+from m100link.log.channels import COMMAND, EVENT, LINK, Entry
+from m100link.log.reading import FlightLog, Message
+from m100link.log.recorder import _Batch, _Scribe
+from m100link.log.records import mcap_module
+from m100link.protocol.commands.monitor import PushTelemetry
+from m100link.protocol.firmware import PROFILES, FirmwareProfile, profile
+from m100link.protocol.items import BY_RECORD
+from m100link.protocol.packet import plan_of
+from m100link.protocol.records import AccelerationMode, Position
+from m100link.telemetry.integrity import has_fix
+from m100link.telemetry.sample import Sample
+from m100link.wire import encode_frame
+
+_TARGETS = ((0.0, -30.0), (0.0, 150.0))  # degrees, in two oceans: one is far from everywhere
+_FARTHEST_M = 30_000.0  # a place farther away would show how far the flight was moved
+_POSITION = BY_RECORD[Position].bit
+_WORD = re.compile(r"(?!.*\d{4})[A-Za-z0-9 _,:-]{0,80}")  # as the library writes them: no place
+_WORDS = ("before", "after", "why", "reason", "task", "pattern", "guided", "mission", "flown")
+_SAID = ("order", "stage", "error", "horizontal", "vertical", "frame")
+_MOVES = ("control_flag", "roll_or_x", "pitch_or_y", "throttle_or_z", "x", "y", "z")
+_NUMBERS = ("number", "waypoint", "id", "lease", "left_out", "earlier_s", "session", "sequence")
+_LIMITS = ("max_height_m", "max_radius_m", "max_speed_m_s", "battery_floor_percent")
+_FLAGS = ("is_there", "is_connected", "steered", "is_ack", "obtain", "stable")
+_WORD_OR_NUMBER = float | str
+_KEPT = {
+    **dict.fromkeys((*_WORDS, *_SAID), str),
+    **dict.fromkeys((*_MOVES, *_NUMBERS, *_LIMITS), float),
+    "yaw": _WORD_OR_NUMBER,
+    **dict.fromkeys(_FLAGS, bool),
+    **dict.fromkeys(("setpoint", "mode", "limits"), dict),
+}
+_NAMES = ("client", "by", "holder", "name")
+_EVENTS = ("authority", "connection", "client", "lease", "control", "order", "setpoints", "state")
+
+
+class _Moved:
+    """The places of a flight, moved: the first becomes a place in an ocean."""
+
+    def __init__(self) -> None:
+        self._frame: LocalFrame | None = None
+        self._target = LocalFrame(*_TARGETS[0])
+
+    def place(self, latitude_deg: float, longitude_deg: float) -> tuple[float, float]:
+        """Degrees of the moved place."""
+        if self._frame is None:
+            self._frame = LocalFrame(latitude_deg, longitude_deg)
+            is_near = abs(latitude_deg) < 30.0 and -60.0 < longitude_deg < 0.0
+            self._target = LocalFrame(*_TARGETS[is_near])
+        north, east = self._frame.to_local(latitude_deg, longitude_deg)
+        if not abs(complex(north, east)) < _FARTHEST_M:
+            north = east = 0.0
+        return self._target.to_geodetic(north, east)
+
+
+class _Cleaner:
+    def __init__(self) -> None:
+        self.moved = _Moved()
+        self.removed: Counter[str] = Counter()
+        self._names: dict[str, str] = {}
+
+    def package(self, value: bytes, known: FirmwareProfile, at: float) -> bytes | None:
+        """The value of a telemetry package elsewhere; None where it does not fit the profile."""
+        try:
+            items = plan_of(value, known).items
+            position = Sample(value, known, at).get(Position)
+        except (LayoutMismatch, IndexError):
+            return None
+        if position is None or _POSITION not in items:
+            return value
+        offset = items[_POSITION][0]
+        first = struct.unpack_from("<d", value, offset)[0]
+        place = (0.0, 0.0)
+        if has_fix(position):
+            moved = self.moved.place(position.latitude_deg, position.longitude_deg)
+            place = moved[0], moved[1]
+        radians = [one * 0.017453292519943295 for one in place]
+        if first != position.latitude_rad:
+            radians.reverse()
+        self.removed["positions, moved"] += 1
+        height = value[offset + 20 : offset + 24]  # also in the place of the altitude
+        return value[:offset] + struct.pack("<2d", *radians) + height + value[offset + 20 :]
+
+    def note(self, content: dict[str, Any]) -> dict[str, Any] | None:
+        """An event without places, names and texts; None for one that is left out."""
+        event = content["event"]
+        if event == "plan":
+            places = content["waypoints"]
+            self.removed["places of plans, moved"] += len(places)
+            moved = [[*self.moved.place(one[0], one[1]), float(one[2])] for one in places]
+            return {"event": event, "name": self._name(content["name"]), "waypoints": moved}
+        if event not in _EVENTS:
+            self.removed[f"{event if _WORD.fullmatch(str(event)) else 'unknown'} notes"] += 1
+            return None
+        if content.get("error") and event == "connection":
+            content = content | {"error": "the connection ended"}
+        if content.get("seen"):
+            content = content | {"seen": "left out"}
+            self.removed["reasons in words"] += 1
+        return {"event": event, "seen": content.get("seen", "")} | self._kept(content)
+
+    def command(self, content: dict[str, Any]) -> dict[str, Any]:
+        """A command with its movement and answer, without everything else."""
+        name, ack = content.get("command"), content.get("ack")
+        kept = {"command": name if _is_word(name) else "?", "is_ack": bool(content.get("is_ack"))}
+        kept["direction"] = "tx" if content.get("direction") == "tx" else "rx"
+        if isinstance(ack, dict) and _is_word(ack.get("name")):
+            kept["ack"] = {"name": ack["name"]}
+        self.removed["other fields of commands"] += 1
+        return kept | self._kept(content)
+
+    def counters(self, content: dict[str, Any]) -> dict[str, Any]:
+        """Counters and the firmware."""
+        found = {name: one for name, one in content.items() if _is_counted(one)}
+        firmware = content["firmware"] if content["firmware"] in PROFILES else ""
+        return found | {"firmware": firmware, "acceleration": AccelerationMode.FUSED.value}
+
+    def _kept(self, content: dict[str, Any]) -> dict[str, Any]:
+        found: dict[str, Any] = {}
+        for name, value in content.items():
+            kind: Any = _KEPT.get(name)
+            if name in _NAMES:
+                found[name] = self._name(value)
+            elif kind is dict and isinstance(value, dict):
+                found[name] = self._kept(value)
+            elif _fits(kind, value):
+                found[name] = value
+            else:
+                self.removed["fields of notes"] += name not in ("event", "seen")
+        return found
+
+    def _name(self, name: object) -> str:
+        if not name:
+            return ""
+        self.removed["names, replaced"] += 1
+        return self._names.setdefault(str(name), f"client {len(self._names) + 1}")
+
+
+def _is_word(value: object) -> bool:
+    return isinstance(value, str) and _WORD.fullmatch(value) is not None
+
+
+def _fits(kind: object, value: object) -> bool:
+    """Whether a value is one that the library writes into such a field."""
+    if isinstance(value, bool):
+        return kind is bool
+    if isinstance(value, str):
+        return kind in (str, _WORD_OR_NUMBER) and _is_word(value)
+    return kind in (float, _WORD_OR_NUMBER) and isinstance(value, int | float)
+
+
+def _is_counted(value: object) -> bool:
+    if isinstance(value, dict):
+        return all(_is_word(name) and _is_counted(one) for name, one in value.items())
+    if isinstance(value, list):
+        return all(map(_is_counted, value))
+    return isinstance(value, int | float)
+
+
+def share(flight: FlightLog, stream: IO[bytes], *, firmware: str | None = None) -> dict[str, int]:
+    """Write a copy for strangers: see :mod:`m100link.log.share`.
+
+    Args:
+        flight: The log.
+        stream: A new file.
+        firmware: Profile to read telemetry by; by default that of the flight.
+
+    Returns:
+        How often each kind of content was moved, replaced or left out.
+
+    Raises:
+        UsageError: The firmware was never known, and none is given; mcap is not installed.
+    """
+    known = None if firmware is None else profile(firmware)
+    for message in flight.messages(LINK) if known is None else ():
+        known = PROFILES.get(message.content().get("firmware", ""), known)  # the last one
+    if known is None:
+        raise flight.nameless("--firmware 1.0")
+    cleaner, sequence = _Cleaner(), 0
+    copy = os.dup(stream.fileno())
+    scribe = _Scribe(mcap_module("writer").Writer, os.fdopen(copy, "wb"), flight.path, 10.0)
+    first = next(flight.messages(), None)
+    scribe.utc_offset_s = 0.0 if first is None else first.utc - first.at
+    for one in flight.heard(COMMAND, EVENT, LINK, firmware=known):
+        batch = _Batch(profile=known, acceleration=AccelerationMode.FUSED)
+        if isinstance(one, Message):
+            batch.entries = [(one.at, entry) for entry in _entries(cleaner, one)]
+        else:
+            for value, at in one:
+                if (moved := cleaner.package(value, known, at)) is not None:
+                    sequence = (sequence + 1) % 0x10000
+                    data = bytes(PushTelemetry.ADDRESS) + moved
+                    frame = encode_frame(data, session=0, sequence=sequence)
+                    batch.chunks.append((Direction.RECEIVED, frame, at))
+        scribe.write(batch)
+    scribe.finish()
+    cleaner.removed["sent bytes, and received ones that are no telemetry: all"] += 1
+    return dict(cleaner.removed)
+
+
+def _entries(cleaner: _Cleaner, message: Message) -> Iterator[Entry]:
+    # Of another writer, or with a bit turned over: its content is unknown.
+    with suppress(ValueError, LookupError, TypeError, AttributeError):
+        content = message.content()
+        if message.topic == EVENT:
+            note = cleaner.note(content)
+            if note is not None:
+                yield EVENT, note
+        elif message.topic == COMMAND:
+            yield COMMAND, cleaner.command(content)
+        else:
+            yield LINK, cleaner.counters(content)
