@@ -127,6 +127,9 @@ class Summary:
     damage: Damage
 
 
+_ANSWERED_S = 20  # counters come once a second; until the version is known they have a default
+
+
 class FlightLog:
     """A log on disk. Each iterator reads it from its beginning.
 
@@ -225,12 +228,13 @@ class FlightLog:
     @cached_property
     def firmware(self) -> FirmwareProfile | None:
         """The firmware profile by which telemetry was read; None when it was never known."""
-        for message in self.messages(LINK):
+        found = None
+        for message in islice(self.messages(LINK), _ANSWERED_S):
             name = message.content().get("firmware")
             if name not in PROFILES:
                 raise _foreign(message.topic)
-            return profile(name)
-        return None
+            found = profile(name)
+        return found
 
     def acceleration_by(self, firmware: FirmwareProfile) -> AccelerationMode | None:
         """The mode in which acceleration was sent; None when it was never known.

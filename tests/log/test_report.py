@@ -115,5 +115,15 @@ async def test_the_line_is_judged(tmp_path: Path) -> None:
     assert f"{story.line['discarded_bytes']:,} bytes discarded" in line_quality(story)
 
 
+async def test_a_version_that_comes_late_is_that_of_the_flight(tmp_path: Path) -> None:
+    """On a line that loses frames the first counters have the default profile."""
+    async with connect(URL + "&firmware=3.1&loss=0.2", record=tmp_path / "a.mcap"):
+        await asyncio.sleep(3.0)
+    flight = read(tmp_path / "a.mcap")
+    names = [one.content()["firmware"] for one in flight.messages("/m100/link")]
+    assert (names[0], names[-1]) == ("1.0", "3.1")
+    assert str(flight.firmware) == "3.1"
+
+
 def test_a_log_without_counters_has_a_quality_too() -> None:
     assert line_quality(FlightSummary("x")).startswith("0 frames damaged or cut off (0.0 %)")
