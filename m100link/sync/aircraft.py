@@ -83,6 +83,7 @@ class Aircraft(Handed):
         return Subscription(self._portal, subscription, timeout)
 
     statistics = calls(aio.Aircraft.statistics)
+    note = calls(aio.Aircraft.note)
     firmware = Reads[FirmwareProfile](aio.Aircraft.firmware)
     is_activated = Reads[bool](aio.Aircraft.is_activated)
     version = waits(aio.Aircraft.version)

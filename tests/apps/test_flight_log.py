@@ -13,10 +13,10 @@ from typing import Any
 
 import pytest
 
-from m100link.apps.agent import connect as agent_connect
 from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.lease import Lease
+from m100link.apps.agent.server import connection as agent_connection
 from m100link.apps.agent.server.server import AgentServer
 from m100link.apps.agent.transports import memory_channels
 from m100link.errors import M100Error
@@ -53,7 +53,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     async def recording(_: object) -> AsyncIterator[Recorder]:
         yield Recorder(tmp_path)
 
-    monkeypatch.setattr(agent_connect, "_recording", recording)
+    monkeypatch.setattr(agent_connection, "_recording", recording)
     return tmp_path
 
 

@@ -21,9 +21,9 @@ from dataclasses import dataclass
 
 from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
-from m100link.apps.agent.connect import by_driver
 from m100link.apps.agent.lease import Lease
 from m100link.apps.agent.server.agent import Agent
+from m100link.apps.agent.server.connection import by_driver
 from m100link.apps.agent.server.server import AgentServer
 from m100link.apps.agent.transports import memory_channels
 from m100link.apps.fleet.agent import FleetAgent

@@ -13,7 +13,7 @@ import pytest
 from mcap.writer import Writer
 
 from m100link import connect
-from m100link.apps.agent.connect import by_driver, by_url
+from m100link.apps.agent.server.connection import by_driver, by_url
 from m100link.errors import NoAircraft
 from m100link.log import Recorder, read
 from m100link.log.folder import Flights, default_folder, is_log_name

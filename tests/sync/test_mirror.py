@@ -20,6 +20,7 @@ from tests import limits
 
 LEFT_OUT = {
     "aclose",  # close() is the word here
+    "note_from",  # the log asks in the event loop of the aircraft, ten times a second
     "push",  # for experts, who await
     "virtual_rc",  # its sticks are renewed twice a second by a program that awaits
     "send_raw_move_as_expert",  # for experts, who await

@@ -112,6 +112,8 @@ _ROWS = {
         ("replay", "serve", "flight.mcap", "flight.mcap --from 60 --speed 4"),
         ("log", "log:app", "", ""),
         ("log info", "", "flight.mcap", "flight.mcap --json"),
+        ("log report", "", "flight.mcap", "flight.mcap --json"),
+        ("log share", "", "flight.mcap", "flight.mcap -o copy.mcap"),
         ("log plot", "", "flight.mcap", "flight.mcap -o flight.png"),
         ("log events", "", "flight.mcap", "other.mcap"),
         ("log compare", "", "first.mcap second.mcap", "first.mcap second.mcap --json"),

@@ -26,7 +26,7 @@ from rich.text import Text
 
 from m100link.aircraft import Aircraft
 from m100link.aircraft.activation import ActivationProgress
-from m100link.apps.agent.connect import by_driver, by_url
+from m100link.apps.agent.server.connection import by_driver, by_url
 from m100link.apps.cli.common import err, out
 from m100link.apps.cli.display import line_plot, track_plot
 from m100link.apps.cli.options import Json, Simulated

@@ -17,10 +17,9 @@ from typing import TYPE_CHECKING, Any, cast
 
 from m100link.apps.agent import transports
 from m100link.apps.agent.client import AgentClient
-from m100link.apps.agent.connect import by_driver, by_url, envelope_of
 from m100link.apps.agent.messages import Event
 from m100link.apps.agent.server.agent import Agent
-from m100link.apps.agent.server.connection import Connect
+from m100link.apps.agent.server.connection import Connect, by_driver, by_url, envelope_of
 from m100link.apps.agent.server.replays import Replays
 from m100link.apps.agent.server.server import AgentServer
 from m100link.apps.station.config import MOST_AIRCRAFT, ONLY_NAME, Settings

@@ -13,10 +13,9 @@ import pytest
 
 from m100link.apps.agent import orders
 from m100link.apps.agent.background import ignore
-from m100link.apps.agent.connect import by_driver
 from m100link.apps.agent.server.agent import Agent
 from m100link.apps.agent.server.authority import HoldingState
-from m100link.apps.agent.server.connection import ConnectionState
+from m100link.apps.agent.server.connection import ConnectionState, by_driver
 from m100link.apps.agent.transports import MemoryChannel
 from m100link.missions.plan import WaypointPlan
 from m100link.sim.clock import virtual_clock_loop

@@ -14,7 +14,6 @@ import pytest
 
 from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient, Hearing, PendingRequests
-from m100link.apps.agent.connect import by_driver
 from m100link.apps.agent.lease import Lease, LeaseHeld, LeaseRefused
 from m100link.apps.agent.messages import (
     VERSION,
@@ -30,6 +29,7 @@ from m100link.apps.agent.messages import (
 )
 from m100link.apps.agent.orders import ChangeHeight
 from m100link.apps.agent.server.agent import Agent
+from m100link.apps.agent.server.connection import by_driver
 from m100link.apps.agent.server.server import AgentServer
 from m100link.apps.agent.transports import MemoryChannel, memory_channels
 from m100link.errors import (

@@ -11,8 +11,8 @@ import pytest
 
 from m100link.aircraft import Aircraft
 from m100link.apps.agent.client import AgentClient
-from m100link.apps.agent.connect import by_driver
 from m100link.apps.agent.server.agent import Agent
+from m100link.apps.agent.server.connection import by_driver
 from m100link.apps.agent.server.server import AgentServer
 from m100link.apps.agent.transports import memory_channels
 from m100link.apps.bus.network import Bus

@@ -12,10 +12,10 @@ import anyio
 import pytest
 
 from m100link.apps.agent.client import AgentClient
-from m100link.apps.agent.connect import by_driver
 from m100link.apps.agent.control_session import ControlInput, ControlSession
 from m100link.apps.agent.lease import Lease
 from m100link.apps.agent.server.agent import Agent
+from m100link.apps.agent.server.connection import by_driver
 from m100link.apps.agent.server.server import AgentServer
 from m100link.apps.agent.transports import MemoryChannel, memory_channels
 from m100link.apps.mavlink.bridge import Bridge

@@ -16,12 +16,11 @@ import pytest
 from m100link.aircraft import Aircraft
 from m100link.apps.agent import orders
 from m100link.apps.agent.background import TaskSet
-from m100link.apps.agent.connect import by_driver
 from m100link.apps.agent.lease import Flown, LeaseRefused
 from m100link.apps.agent.messages import GuardLimits, Journal
 from m100link.apps.agent.server.agent import Agent
 from m100link.apps.agent.server.authority import AuthorityManager, HoldingInput, HoldingState
-from m100link.apps.agent.server.connection import ConnectionState
+from m100link.apps.agent.server.connection import ConnectionState, by_driver
 from m100link.errors import AuthorityRefused, LinkError, NoAuthority, NotObserved
 from m100link.flight.guards import Envelope, Guards
 from m100link.protocol.setpoint import Setpoint

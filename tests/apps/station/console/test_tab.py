@@ -615,7 +615,7 @@ async def test_a_press_of_stop_that_one_way_failed_to_bring_is_carried_out_by_th
     tab = Browser(rig).tab
     with monkeypatch.context() as failing:
 
-        async def fail() -> None:
+        async def fail(_: str) -> None:
             raise GuardRefused("no", guard="", measured=None, limit=None)
 
         failing.setattr(rig.front, "stop", fail)

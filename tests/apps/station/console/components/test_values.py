@@ -1000,8 +1000,8 @@ def ship(**changed: Any) -> FleetRow:
 
 
 async def test_a_fleet_has_a_row_for_each_and_each_can_be_stopped(here: Here) -> None:
-    async def stop() -> None:
-        here.notes.append(("stop", "left"))
+    async def stop(name: str) -> None:
+        here.notes.append(("stop", f"left by {name}"))
 
     agent = SimpleNamespace(background=here.agent.background, stop=stop)
     tabs = SimpleNamespace(agents={"left": agent}, move=lambda tab, name: f"/{name}?x")
@@ -1022,7 +1022,7 @@ async def test_a_fleet_has_a_row_for_each_and_each_can_be_stopped(here: Here) ->
     assert "low" not in row._battery.classes
     here.notes.clear()
     await here.press(here.find(data_stop="left"), press=2)
-    assert here.notes == [("script", "m100.answered(2)"), ("stop", "left")]
+    assert here.notes == [("script", "m100.answered(2)"), ("stop", "left by anna")]
     assert (here.whose[-1], here.replaces) == ("stop of anna", False)
     await here.press(turn)
     await here.press(here.find(data_ship="m100"))
