@@ -25,7 +25,7 @@ from nicegui.page import page as page_of_nicegui
 
 from m100link.apps.agent import orders
 from m100link.apps.station.config import Video
-from m100link.apps.station.console.components import fly, header, plan, settings
+from m100link.apps.station.console.components import data, fly, header, plan, settings
 from m100link.apps.station.console.components.component import (
     Buttons,
     NumberField,
@@ -57,6 +57,7 @@ from m100link.protocol.commands.gimbal import GimbalAngle, GimbalAngleMode, Gimb
 from m100link.protocol.records import Position
 from m100link.sim.clock import virtual_clock_loop
 from tests.known import LATITUDE, LONGITUDE, position
+from tests.known import seen as known_view
 
 pytestmark = pytest.mark.anyio
 
@@ -230,6 +231,54 @@ def test_a_number_without_a_unit_is_the_same_in_every_unit(here: Here) -> None:
         here.wording.choose(replace(here.wording.settings, length=LengthUnit.FOOT))
         field.element.set_value(7)
     assert (field.value, typed, field.shown_limits) == (7, [7], (None, 8.0))
+
+
+# -- plots: the page gets each point once, and all of them anew when what is drawn changes ----------
+
+
+def test_a_plot_is_sent_whole_and_then_what_is_new(here: Here) -> None:
+    """Milliseconds since 1970. A chart that is paused stands still, and is whole when it goes on."""
+    history = here.page.history
+
+    def add(*times: float) -> None:
+        for utc in times:
+            history.add(utc, known_view(None))
+
+    def sent() -> list[tuple[int, list[int], int]]:
+        """Which drawing, the times of its points, and how long its range is, ms."""
+        here.notes.clear()
+        part.update(SimpleNamespace(replay=None, flight=None))
+        rows = [code for kind, code in here.notes if kind == "script" and "addRows" in code]
+        found = []
+        for code in rows:
+            chart, _, given = code.partition("addRows(")[2][:-2].partition(",...")
+            which, drawn, range_ms = json.loads(given)
+            assert int(chart) == part._chart.id
+            found.append((which, [at for at, *_ in drawn], range_ms))
+        return found
+
+    add(1.0, 1.1)
+    part = here.make(data.PlotsPart)
+    assert sent() == [(1, [1000, 1100], 60_000)]
+    assert sent() == []
+    add(1.2)
+    assert sent() == [(1, [1200], 60_000)]
+    part._set_range(SimpleNamespace(value=120))
+    add(1.3)
+    assert sent() == [(2, [1000, 1100, 1200, 1300][::2], 120_000)]
+    part._set_range(SimpleNamespace(value=30))
+    part._toggle()
+    add(1.4)
+    assert sent() == [(3, [1000, 1100, 1200, 1300], 30_000)]
+    assert sent() == []
+    part._toggle()
+    assert sent() == [(4, [1000, 1100, 1200, 1300, 1400], 30_000)]
+    part._choose(SimpleNamespace(value=["line.discards"]))
+    add(1.5)
+    assert sent() == [(5, [1000, 1100, 1200, 1300, 1400, 1500], 30_000)]
+    add(*(2.0 + number / 10 for number in range(301)))  # more than the range: nobody sees the rest
+    [(which, times, _)] = sent()
+    assert (which, len(times), times[-1]) == (6, 300, 32_000)
 
 
 # -- the pad: mode 2, the left stick climbs and turns ----------------------------------------------
