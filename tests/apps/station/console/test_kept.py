@@ -11,6 +11,8 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import AsyncExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 from urllib.parse import parse_qs, urlsplit
 
 import anyio
@@ -42,7 +44,9 @@ from m100link.apps.station.console.view.situation import Inputs, RecordedFlight
 from m100link.apps.station.console.view.view_model import Memory, view_of
 from m100link.errors import M100Error
 from m100link.log import recorder
-from m100link.protocol.records import Position
+from m100link.protocol import profile
+from m100link.protocol.records import Attitude, Position, quaternion
+from m100link.protocol.setpoint import Setpoint
 from m100link.sim import VirtualClockEventLoop
 from m100link.sim.orders import perform
 from m100link.sim.ports import driver
@@ -618,6 +622,43 @@ async def test_rows_of_a_file_have_what_was_commanded_beside_what_was_flown(alar
     few = found.between(names, 2.0, 10.0, 10)
     assert len(few) <= 10 + 1
     assert few[0][0] <= 2.0
+
+
+@pytest.mark.parametrize(
+    ("setpoint", "heading", "commanded"),
+    [
+        (
+            Setpoint.velocity(north=3.0, east=-4.0, up=0.5, yaw_rate_deg_s=-20.0),
+            90.0,
+            {"north_m_s": 3, "east_m_s": -4, "ground_speed_m_s": 5, "up_m_s": 0.5}
+            | {"yaw_rate_deg_s": -20},
+        ),
+        (  # the nose points east, so its right is south
+            Setpoint.velocity(forward=3.0, right=4.0, height=12.0, yaw_deg=-30.0),
+            90.0,
+            {"north_m_s": -4, "east_m_s": 3, "ground_speed_m_s": 5, "height_m": 12, "yaw_deg": -30},
+        ),
+        (
+            Setpoint.velocity(forward=3.0, right=4.0, up=-0.5, yaw_deg=10.0),
+            None,
+            {"ground_speed_m_s": 5, "up_m_s": -0.5, "yaw_deg": 10},
+        ),
+    ],
+    ids=["over ground", "by the nose", "by a nose that nobody knows"],
+)
+def test_what_was_commanded_is_shown_to_the_north_to_the_east_and_up(
+    setpoint: Setpoint, heading: float | None, commanded: dict[str, float]
+) -> None:
+    rows = kept._Rows("3.1")
+    if heading is not None:
+        nose = Attitude(*quaternion(0.0, 0.0, math.radians(heading)))
+        rows._state = cast(Any, SimpleNamespace(get=lambda _: nose))
+    content = {"movement": setpoint.to_move(profile("3.1"))._asdict()}
+    found = rows._read(cast(Any, SimpleNamespace(content=lambda: content)))
+    assert found == pytest.approx(
+        {f"commanded.{name}": value for name, value in commanded.items()}, abs=1e-6
+    )
+    assert found.keys() <= set(COMMANDED.values())
 
 
 def test_a_row_that_stays_keeps_its_time(monkeypatch: pytest.MonkeyPatch) -> None:

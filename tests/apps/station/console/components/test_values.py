@@ -233,11 +233,11 @@ def test_a_number_without_a_unit_is_the_same_in_every_unit(here: Here) -> None:
     assert (field.value, typed, field.shown_limits) == (7, [7], (None, 8.0))
 
 
-# -- plots: the page gets each point once, and all of them anew when what is drawn changes ----------
+# -- plots: the page gets each point once, and all of them anew when what is drawn changes ---------
 
 
 def test_a_plot_is_sent_whole_and_then_what_is_new(here: Here) -> None:
-    """Milliseconds since 1970. A chart that is paused stands still, and is whole when it goes on."""
+    """Milliseconds since 1970. A paused chart stands still, and is whole when it goes on."""
     history = here.page.history
 
     def add(*times: float) -> None:
