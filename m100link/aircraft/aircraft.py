@@ -195,7 +195,7 @@ class Aircraft:
         """Counters of the link."""
         return self.link.statistics()
 
-    def note(self, event: str, **values: Any) -> None:
+    def note(self, event: str, /, **values: Any) -> None:
         """Write an event of the program into the flight log; without a log this does nothing.
 
         It never waits. The log takes notes ten times a second; the newest 500 wait for it.
