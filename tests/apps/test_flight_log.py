@@ -67,7 +67,8 @@ def notes_of(path: Path) -> Notes:
 def recorded(folder: Path) -> list[Notes]:
     """The notes of each connection, in their order."""
     paths = sorted(folder.iterdir(), key=lambda path: (len(path.name), path.name))
-    return [notes_of(path) for path in paths]
+    # The last may be that of a connection which had just begun when the agent ended.
+    return [notes_of(path) for path in paths if path.stat().st_size]
 
 
 def those(notes: Notes, event: str, **values: Any) -> Notes:

@@ -48,9 +48,9 @@ class Server:
                     self.send_header(name, value)
                 self.send_header("Content-Length", str(len(body)))
                 self.end_headers()
-                self.wfile.write(body)
-                with whole._lock:
+                with whole._lock:  # before the body: the next one may come as soon as that is there
                     whole.at_once -= 1
+                self.wfile.write(body)
 
             def log_message(self, *_: Any) -> None:
                 """Nothing of it is printed."""
