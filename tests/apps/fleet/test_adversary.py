@@ -631,6 +631,33 @@ async def test_an_agent_whose_calendar_was_set_back_is_heard_again(
     assert heard == [b"2026 1", b"2026 2", b"1970 1", b"1970 2"]
 
 
+async def test_an_answer_that_was_overtaken_lets_nothing_be_heard_twice(
+    rig: Rig, keys: Keyring, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By less than two seconds; an answer that is older than that is of a calendar set back."""
+    network, said, heard, now = rig.network, list[bytes](), list[bytes](), [10.0]
+    monkeypatch.setattr(time, "time_ns", lambda: round(now[0] * 1e9))
+    ada, stranger = SealedBus(network.session(), authority=keys.authority), network.session()
+    stranger.subscribe(A1.state, lambda _key, payload: said.append(payload))
+    ada.subscribe(A1.state, lambda _key, payload: heard.append(payload))
+    a1 = SealedBus(network.session(), {"a1": keys.seals["a1"]})
+    served = a1.serve(A1.state, lambda question: question.answer(A1.state, b"now"))
+    outlet = a1.publish(A1.state)
+    for at, text in ((10.0, b"first"), (20.0, b"second"), (21.0, b"third")):
+        now[0] = at
+        outlet.put(text)  # by the first one, ada asks for the time of a1
+        await anyio.sleep(0.1)
+    served.close()
+    now[0] = 20.5
+    late = SealedBus(network.session(), {"a1": Seal(keys.seals["a1"]._key, keys.certificate("a1"))})
+    late.serve(A1.state, lambda question: question.answer(A1.state, b"now"))
+    [answer] = await ada.ask(A1.state, timeout=1.0)
+    assert answer.is_proved
+    stranger.publish(A1.state).put(said[-1])
+    await anyio.sleep(0.1)
+    assert heard == [b"second", b"third"]
+
+
 async def test_a_strangers_state_is_no_second_agent_and_one_with_the_key_is(
     rig: Rig, keys: Keyring
 ) -> None:
