@@ -640,7 +640,11 @@ async def test_an_answer_that_was_overtaken_lets_nothing_be_heard_twice(
     ada, stranger = SealedBus(network.session(), authority=keys.authority), network.session()
     stranger.subscribe(A1.state, lambda _key, payload: said.append(payload))
     ada.subscribe(A1.state, lambda _key, payload: heard.append(payload))
-    a1 = SealedBus(network.session(), {"a1": keys.seals["a1"]})
+
+    def seal() -> Seal:  # that has signed nothing yet: the time of its words only grows
+        return Seal(keys.seals["a1"]._key, keys.certificate("a1"))
+
+    a1 = SealedBus(network.session(), {"a1": seal()})
     served = a1.serve(A1.state, lambda question: question.answer(A1.state, b"now"))
     outlet = a1.publish(A1.state)
     for at, text in ((10.0, b"first"), (20.0, b"second"), (21.0, b"third")):
@@ -649,7 +653,7 @@ async def test_an_answer_that_was_overtaken_lets_nothing_be_heard_twice(
         await anyio.sleep(0.1)
     served.close()
     now[0] = 20.5
-    late = SealedBus(network.session(), {"a1": Seal(keys.seals["a1"]._key, keys.certificate("a1"))})
+    late = SealedBus(network.session(), {"a1": seal()})
     late.serve(A1.state, lambda question: question.answer(A1.state, b"now"))
     [answer] = await ada.ask(A1.state, timeout=1.0)
     assert answer.is_proved
