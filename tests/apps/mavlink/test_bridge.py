@@ -243,7 +243,7 @@ async def test_two_ground_stations_and_one_of_them_flies(rig: Rig, ground: Groun
 async def test_a_stranger_with_the_number_of_the_station_that_flies_hears_that_it_flies(
     rig: Rig, ground: Ground
 ) -> None:
-    """It streams, and was told that no setpoint came."""
+    """The bridge told a stranger that streamed setpoints: "no setpoint came"."""
     await ground.fly(4.0)
     stranger = Ground(rig, ("127.0.0.1", 7000), ground.system)
     stranger.beat()
