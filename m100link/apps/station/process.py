@@ -15,7 +15,7 @@ from __future__ import annotations
 import asyncio
 import os
 import sys
-from contextlib import AsyncExitStack
+from contextlib import AsyncExitStack, suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -23,9 +23,10 @@ from typing import Any
 from m100link.apps.agent.background import is_set_within
 from m100link.apps.agent.transports import connect_unix, serve_unix
 from m100link.apps.station.config import resolve
-from m100link.apps.station.listeners import Fronts, Sockets, serving_fronts
+from m100link.apps.station.listeners import FRONTS, Fronts, Sockets, serving_fronts
 from m100link.apps.station.log_output import log_of, tell_elsewhere
 from m100link.apps.station.supervisor import answer, end_with_parent, leave_what_stays, run_child
+from m100link.errors import UsageError
 from m100link.sim.orders import orders_by_socket
 
 LEASES_PER_START = 1_000_000
@@ -66,7 +67,6 @@ async def _own(request: dict[str, Any], ended: asyncio.Event) -> None:
 
 async def _serve(request: dict[str, Any], ended: asyncio.Event) -> None:
     settings = resolve(request["settings"], {})
-    os.nice(settings.niceness())
     sockets = Sockets.inherited(request["sockets"])
     reach = {name: partial(connect_unix, Path(path)) for name, path in request["agents"].items()}
     orders = {name: await orders_by_socket(Path(path)) for name, path in request["orders"].items()}
@@ -90,5 +90,16 @@ async def _until_ended(ended: asyncio.Event, fronts: Fronts, parent_ended: async
             alone += _CHECK
 
 
+def _load(niceness: str, *fronts: str) -> None:
+    """Step back behind the process that flies, and load fronts while that one connects."""
+    os.nice(int(niceness))
+    with suppress(UsageError):  # the front that serves says it
+        for name in fronts:
+            FRONTS[name].load()
+
+
 if __name__ == "__main__":
-    sys.exit(run_child({"agent": _own, "fronts": _serve}[sys.argv[1]]))
+    role, *loads = sys.argv[1:]
+    if loads:
+        _load(*loads)
+    sys.exit(run_child({"agent": _own, "fronts": _serve}[role]))

@@ -259,27 +259,30 @@ def _as_json(given: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _front_process(
+async def _front_process(
+    stack: AsyncExitStack,
     settings: Settings,  # of access and of services
     sockets: Sockets,
-    agents: Mapping[str, Path],  # where each agent serves, by the name of its aircraft
-    orders: Mapping[str, Path],  # where each virtual aircraft takes orders
     note: Callable[[str, str], None],  # takes what happens to the process, and its level
 ) -> ChildProcess:
+    """The process of the fronts, which loads them while the agents connect."""
     descriptors = sockets.descriptors()
-    request = {
-        "settings": front_settings(settings),
-        "sockets": descriptors,
-        "agents": _as_json(agents),
-        "orders": _as_json(orders),
-    }
-    return ChildProcess(
+    front = ChildProcess(
         "fronts",
         "the fronts",
-        request,
+        {"settings": front_settings(settings), "sockets": descriptors},
         note,
         inherited=[number for row in descriptors.values() for number in row],
+        loads=(str(settings.niceness()), *descriptors),
     )
+    stack.push_async_callback(front.end)
+    await front.begin()
+    return front
+
+
+def _reached(agents: Mapping[str, Path], orders: Mapping[str, Path]) -> dict[str, Any]:
+    """Where each agent serves and each virtual aircraft takes orders, by the aircraft's name."""
+    return {"agents": _as_json(agents), "orders": _as_json(orders)}
 
 
 @asynccontextmanager
@@ -301,8 +304,13 @@ async def running_apart(
         sockets = open_sockets(
             stack, settings, with_console=with_console, with_rosbridge=with_rosbridge
         )
-        owner = await stack.enter_async_context(owning(settings, virtual))
         directory = stack.enter_context(transports.private_directory())
+
+        def note(text: str, level: str) -> None:
+            owner.agent.journal.note(text, level)
+
+        front = await _front_process(stack, settings, sockets, note)
+        owner = await stack.enter_async_context(owning(settings, virtual))
         agent_path = directory / "agent.sock"
         await stack.enter_async_context(transports.serve_unix(agent_path, owner.service.attach))
         orders = {}
@@ -311,8 +319,7 @@ async def running_apart(
             await server.start()
             stack.push_async_callback(server.stop)
             orders[ONLY_NAME] = server.path
-        note = owner.agent.journal.note
-        front = _front_process(settings, sockets, {ONLY_NAME: agent_path}, orders, note)
+        front.request |= _reached({ONLY_NAME: agent_path}, orders)
         await stack.enter_async_context(supervised(front))
         # Before the child is waited for: one that hangs must not fly on until its lease ends.
         stack.callback(owner.service.close)
@@ -389,6 +396,12 @@ async def running_several(
             name: _owner(name, place, one, directory, partial(note, name))
             for place, (name, one) in enumerate(aircraft.items())
         }
+
+        def note_all(text: str, level: str) -> None:
+            for name in agents:
+                note(name, text, level)
+
+        front = await _front_process(stack, settings, sockets, note_all)
         await stack.enter_async_context(supervised(*owners.values(), timeout=END_TIMEOUT))
         paths = {name: _path(directory, place) for place, name in enumerate(aircraft)}
         for name, path in paths.items():
@@ -402,12 +415,7 @@ async def running_several(
             for place, name in enumerate(aircraft)
             if owners[name].answer["is_virtual"]
         }
-
-        def note_all(text: str, level: str) -> None:
-            for name in agents:
-                note(name, text, level)
-
-        front = _front_process(settings, sockets, paths, virtual if with_console else {}, note_all)
+        front.request |= _reached(paths, virtual if with_console else {})
         await stack.enter_async_context(supervised(front))
         yield RunningMultiVehicle(owners, agents, front, sockets)
 

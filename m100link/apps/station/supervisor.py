@@ -42,12 +42,14 @@ class ChildProcess:
         note: Callable[[str, str], None],  # takes a text and a level: what happens to it
         *,
         inherited: Sequence[int] = (),  # file descriptors that it gets
+        loads: Sequence[str] = (),  # loaded before the request comes: see `process`
     ) -> None:
         self._role = role
         self._called = called
-        self._request = request
+        self.request = request
         self._note = note
-        self._inherited = inherited
+        self._inherited, self._loads = inherited, loads
+        self._waiting: asyncio.subprocess.Process | None = None  # for its request
         self._process: asyncio.subprocess.Process | None = None
         self._starts = 0
         self.answer: dict[str, Any] = {}  # when it ran
@@ -57,20 +59,27 @@ class ChildProcess:
     def pid(self) -> int | None:
         return None if self._process is None else self._process.pid
 
-    async def start(self) -> None:
-        """Start it, and wait until it runs.
-
-        Raises ``M100Error``: the child met an error, or did not start.
-        """
+    async def begin(self) -> None:
+        """Let it load what it needs, while its request is not known yet."""
         clean = {name: one for name, one in os.environ.items() if not name.startswith("M100LINK_")}
-        self._process = await asyncio.create_subprocess_exec(
-            *(sys.executable, "-m", "m100link.apps.station.process", self._role),
+        self._waiting = await asyncio.create_subprocess_exec(
+            *(sys.executable, "-m", "m100link.apps.station.process", self._role, *self._loads),
             stdin=asyncio.subprocess.PIPE,
             stdout=asyncio.subprocess.PIPE,
             pass_fds=self._inherited,
             env=clean,
             start_new_session=True,  # Ctrl-C is for the parent, which ends its children in order
         )
+
+    async def start(self) -> None:
+        """Start it, and wait until it runs.
+
+        Raises ``M100Error``: the child met an error, or did not start.
+        """
+        if self._waiting is None:
+            await self.begin()
+        assert self._waiting is not None
+        self._process, self._waiting = self._waiting, None
         try:
             async with asyncio.timeout(START_TIMEOUT):
                 self._take_answer(await self._ask(self._process))
@@ -88,7 +97,7 @@ class ChildProcess:
         assert process.stdin is not None
         assert process.stdout is not None
         log = in_force()
-        request = self._request | {
+        request = self.request | {
             "starts": self._starts,
             "log": None if log is None else asdict(log),
         }
@@ -133,7 +142,7 @@ class ChildProcess:
 
     async def end(self, timeout: float | None = None) -> None:
         """End the child, in order if it listens. May be called any number of times."""
-        process, self._process = self._process, None
+        process, self._process, self._waiting = self._process or self._waiting, None, None
         if process is None or process.returncode is not None:
             return
         with suppress(ProcessLookupError):
@@ -178,7 +187,10 @@ async def supervised(
 
 def run_child(work: Callable[[dict[str, Any], asyncio.Event], Awaitable[None]]) -> int:
     """Be such a process: do ``work`` with what the line says, until a signal sets the event."""
-    request = read_json(sys.stdin.readline())
+    line = sys.stdin.readline()
+    if not line:
+        return 0  # the supervisor has gone
+    request = read_json(line)
 
     async def run() -> None:
         ended = asyncio.Event()

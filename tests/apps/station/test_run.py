@@ -257,17 +257,16 @@ async def test_an_agent_that_is_killed_is_reported_by_its_front_and_its_port_is_
 async def test_a_virtual_aircraft_takes_orders_where_there_is_a_console_to_give_them(
     with_console: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    given: list[list[str]] = []
+    front = MagicMock(request={})
 
-    def handed(*what: Any) -> MagicMock:
-        given.append(list(what[3]))
-        return MagicMock()
+    async def handed(*_: Any) -> MagicMock:
+        return front
 
     monkeypatch.setattr(run, "_front_process", handed)
     monkeypatch.setattr(run, "supervised", lambda _: nullcontext())
     settings = Settings(sim=True, port=0, console_port=0)
     async with running_apart(settings, with_console=with_console):
-        assert given == [["m100"] if with_console else []]
+        assert list(front.request["orders"]) == (["m100"] if with_console else [])
 
 
 def files_in(folder: Path) -> list[Path]:

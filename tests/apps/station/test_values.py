@@ -259,6 +259,12 @@ class Child:
         self.answer = {"console_path": "/?code=1", "is_virtual": called.endswith("left")}
         self.made.append(self)
 
+    async def begin(self) -> None:
+        """It loads what it needs."""
+
+    async def end(self) -> None:
+        """It has ended."""
+
 
 @pytest.fixture
 def children(monkeypatch: pytest.MonkeyPatch, noted: Noted, tmp_path: Path) -> list[Child]:
@@ -297,7 +303,7 @@ async def test_the_process_of_the_fronts_of_one_aircraft(
     assert (front.role, front.called) == ("fronts", "the fronts")
     assert front.request["settings"] == run.front_settings(settings)
     assert front.request["sockets"] == {"rosbridge": [44]}
-    assert front.how == {"inherited": [44]}
+    assert front.how == {"inherited": [44], "loads": ("5", "rosbridge")}
     agents, orders = front.request["agents"], front.request["orders"]
     assert [Path(one).name for one in agents.values()] == ["agent.sock"]
     assert agents.keys() == {ONLY_NAME}
@@ -351,8 +357,8 @@ async def test_the_processes_of_several_aircraft(
         told.append((name, event.text, event.level))
 
     async with run.running_several(aircraft, with_console=with_console, tell=tell) as one:
-        left, right, front = children
-        assert [(c.role, c.called) for c in children] == [
+        left, right, front = sorted(children, key=lambda one: (one.role, one.called))
+        assert [(c.role, c.called) for c in (left, right, front)] == [
             ("agent", "the agent of left"),
             ("agent", "the agent of right"),
             ("fronts", "the fronts"),
@@ -599,6 +605,23 @@ async def test_a_process_is_asked_by_a_line_and_answers_by_one(
     assert not [name for name in how["env"] if name.startswith("M100LINK_")]
 
 
+async def test_a_process_that_loads_before_it_is_asked_is_one_and_ends_without_a_request(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    machine = Machine(monkeypatch, Started, Started)
+    one = machine.child(loads=("5", "console"))
+    await one.begin()
+    assert machine.how[0][0][3:] == ("agent", "5", "console")
+    one.request["agents"] = {"left": "there"}  # known later
+    await one.start()
+    (begun,) = machine.begun
+    assert json.loads(begun.asked)["agents"] == {"left": "there"}
+    other = machine.child()
+    await other.begin()
+    await other.end()
+    assert (machine.begun[1].asked, machine.begun[1].signals) == (b"", ["SIGTERM"])
+
+
 @pytest.mark.parametrize(
     ("answer", "says", "seconds"),
     [
@@ -714,6 +737,17 @@ def test_a_child_works_until_a_signal_and_tells_its_fault(
         assert told == {"is_virtual": True}
     else:
         assert RemoteError(**told["fault"]).error().seen == "it cannot be"
+
+
+def test_a_child_that_loaded_for_a_supervisor_that_has_gone_ends(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    async def work(*_: object) -> None:
+        pytest.fail("nobody asked for anything")
+
+    monkeypatch.setattr("sys.stdin", SimpleNamespace(readline=lambda: ""))
+    assert supervisor.run_child(work) == 0
+    assert capsys.readouterr().out == ""
 
 
 async def test_a_child_ends_when_nobody_writes_to_it_any_more(
