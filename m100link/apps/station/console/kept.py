@@ -1,4 +1,4 @@
-"""Data that outlives a page: words before take-off, what was flown, and recorded flights."""
+"""Data that outlives a page: what was flown, and recorded flights."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import csv
 import io
 import math
 import pickle
-import secrets
 import sys
 import time
 from array import array
@@ -16,85 +15,24 @@ from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from itertools import pairwise
 from operator import attrgetter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from m100link.apps.agent.client import AgentClient, Hearing, VehicleView
-from m100link.apps.station.console.view.fly import FREE_FOR_S
 from m100link.errors import M100Error
 from m100link.log.reading import Message, read
 from m100link.log.story import Curve, Curves, FlightPath, FlightSummary, read_story
 from m100link.protocol.commands.control import Move
 from m100link.protocol.firmware import FIRMWARE_1_0, PROFILES
 from m100link.protocol.items import ITEMS
-from m100link.protocol.records import Attitude, FlightPhase, Position
+from m100link.protocol.records import Attitude, Position
 from m100link.protocol.setpoint import Horizontal, ReceivedMove, ReferenceFrame, Vertical, Yaw
 from m100link.telemetry.columns import columns_of
 from m100link.telemetry.integrity import has_fix
 from m100link.telemetry.sample import Sample
 from m100link.telemetry.state import AircraftState
 
-# -- what operators said of the place before take-off ----------------------------------------------
-# A word counts for one person, one aircraft and one connection, for as long as it would have
-# without the reload, and only while the aircraft was seen to stand on the ground all the time: in a
-# flight, or in a gap of the telemetry, it may have come to another place. The person is the
-# browser's tab: it keeps a secret that no other tab has, so nobody takes off on what somebody else
-# has seen.
-
-MOST = 256  # persons that are remembered
-
-_STATUS = "flight_status.status"
-_LONGEST_GAP_S = 1.0
-
-
-@dataclass(frozen=True, slots=True)
-class _Look:
-    at: float  # when it was said, on the agent's clock, s
-    connection: AircraftState  # the telemetry of the connection then: each connection has another
-
-
-class Preferences:
-    """Words that places are free, by person and aircraft."""
-
-    def __init__(self) -> None:
-        self._persons: dict[str, dict[str, _Look]] = {}
-
-    def person(self, secret: object) -> str:
-        """The person of whom a tab kept this secret; another one if nobody here knows it."""
-        known = secret if isinstance(secret, str) and secret in self._persons else ""
-        person = known or secrets.token_urlsafe(16)
-        self._persons[person] = self._persons.pop(person, {})  # the newest is the last to go
-        while len(self._persons) > MOST:
-            del self._persons[next(iter(self._persons))]
-        return person
-
-    def say(self, person: str, aircraft: str, agent: AgentClient, *, is_free: bool) -> None:
-        """A person looked around now, or takes that back."""
-        words = self._persons.get(person)
-        if words is None:
-            return
-        words.pop(aircraft, None)
-        if is_free and agent.telemetry is not None:
-            words[aircraft] = _Look(agent.now, agent.telemetry)
-
-    def said_at(
-        self, person: str, aircraft: str, agent: AgentClient, history: PlotHistory
-    ) -> float | None:
-        """When that person looked around, on the agent's clock, s; None: look again."""
-        look = self._persons.get(person, {}).get(aircraft)
-        if look is None or agent.is_gone or agent.telemetry is not look.connection:
-            return None
-        age = agent.now - look.at
-        if age > FREE_FOR_S:
-            return None
-        rows = history.rows([_STATUS], last_s=age)
-        times = [utc for utc, _ in rows]
-        stood = all(status == FlightPhase.STANDBY for _, status in rows)
-        longest = max((after - before for before, after in pairwise(times)), default=0.0)
-        is_whole = math.isfinite(longest) and longest <= _LONGEST_GAP_S
-        return look.at if rows and stood and is_whole else None
-
+if TYPE_CHECKING:  # the process that reads a file needs none of it
+    from m100link.apps.agent.client import AgentClient, VehicleView
 
 # -- the last minutes of every number of the telemetry and of the link -----------------------------
 # One for each aircraft, kept by the front whether somebody looks or not: a page that is opened, or
@@ -189,7 +127,7 @@ class PlotHistory:
     def _row(self, view: VehicleView) -> Iterator[Any]:
         telemetry, state = view.telemetry, view.state
         yield from _numbers(telemetry if view.is_connected else None, view.now)
-        if telemetry is None or view.hearing is Hearing.GONE:
+        if telemetry is None or view.is_gone:
             yield from [None] * (len(LINE_COLUMNS) - 1)
         else:
             rates = (telemetry.statistics(record).rate_hz for record, _ in _READERS)

@@ -24,20 +24,19 @@ from m100link.apps.agent.control_session import ControlSession
 from m100link.apps.agent.messages import Event, State
 from m100link.apps.agent.server.server import AgentServer
 from m100link.apps.agent.transports import memory_channels
-from m100link.apps.station.console import kept
+from m100link.apps.station.console import kept, tabs
 from m100link.apps.station.console.kept import (
     COLUMNS,
     COMMANDED,
     INTERVAL,
     KEPT_S,
     PlotHistory,
-    Preferences,
     Recorded,
     analyse,
     analysed,
 )
 from m100link.apps.station.console.tab import Tab
-from m100link.apps.station.console.tabs import MOVE_PATIENCE, Tabs
+from m100link.apps.station.console.tabs import MOVE_PATIENCE, Preferences, Tabs
 from m100link.apps.station.console.view.alarms import MOMENT_S, AlarmName
 from m100link.apps.station.console.view.header import Cause
 from m100link.apps.station.console.view.situation import Inputs, RecordedFlight
@@ -410,7 +409,7 @@ async def screen(rig: Rig) -> Screen:
 async def test_a_word_lasts_as_long_as_without_the_reload(
     screen: Screen, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(kept, "FREE_FOR_S", 5.0)  # minutes of telemetry take a while
+    monkeypatch.setattr(tabs, "FREE_FOR_S", 5.0)  # minutes of telemetry take a while
     began = screen.rig.front.now
     screen.say()
     await anyio.sleep(4.0)
@@ -486,7 +485,7 @@ async def test_a_station_that_stood_still_saw_nothing(
 def test_the_oldest_persons_are_forgotten() -> None:
     known = Preferences()
     first = known.person(None)
-    others = [known.person(None) for _ in range(kept.MOST - 1)]
+    others = [known.person(None) for _ in range(tabs.MOST - 1)]
     assert known.person(first) == first  # it was there lately
     known.person(None)
     assert known.person(others[0]) != others[0]
