@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib import import_module
-from itertools import islice
+from itertools import accumulate, islice
 from operator import itemgetter
 from pathlib import Path
 from typing import IO, Any, NamedTuple
@@ -320,8 +320,9 @@ class FlightLog:
                     continue
                 found: Packages = []
                 began_at, data, begin = raw.at, raw.data, 0
-                for offset_us, length in zip(content["offset_us"], content["length"], strict=True):
-                    end = begin + length
+                for offset_us, end in zip(
+                    content["offset_us"], accumulate(content["length"]), strict=True
+                ):
                     for frame in feed(data[begin:end]):
                         if is_telemetry(frame):
                             found.append((frame.data[2:], began_at + offset_us / 1e6))

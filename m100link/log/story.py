@@ -389,14 +389,15 @@ class _CommandReader:
         self._moved_at = -math.inf  # when a setpoint was looked into last, s
         # Number in `commands` and time of what waits for its answer, by session and sequence.
         self._open: dict[tuple[int, int], tuple[int, float]] = {}
-        self._streams: dict[str, tuple[float, float, int]] = {}
+        self._streams: dict[str, list[Any]] = {}  # begin and end of each, s, and how many
         self._holder: tuple[str, float] = ("pilot", 0.0)
         self._counted: tuple[float, dict[str, Any]] | None = None
 
     def hear_move(self, message: Message) -> None:
         """A setpoint, as most messages are: it is counted, and rarely looked into."""
         at = message.at - self._began_at
-        self._story.duration_s = max(self._story.duration_s, at)
+        if at > self._story.duration_s:
+            self._story.duration_s = at
         self._count_stream(at, "move")
         if self._listener is not None and at - self._moved_at >= self._interval_s:
             self._moved_at = at
@@ -429,13 +430,17 @@ class _CommandReader:
             self._story.commands.append(Moment(at, name, arguments, None, None))
 
     def _count_stream(self, at: float, name: str) -> None:
-        begin, last, count = self._streams.get(name, (at, at, 0))
-        if at - last > _STREAM_GAP_S:
+        stream = self._streams.get(name)
+        if stream is None or at - stream[1] > _STREAM_GAP_S:
             self._stream(name)
-            begin, count = at, 0
-        self._streams[name] = (begin, at, count + 1)
+            self._streams[name] = [at, at, 1]
+        else:
+            stream[1] = at
+            stream[2] += 1
 
     def _stream(self, name: str) -> None:
+        if name not in self._streams:
+            return
         begin, last, count = self._streams[name]
         self._story.streams.append(Span(name, begin, last, f"{count} × {name}"))
 
