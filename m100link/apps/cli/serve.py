@@ -591,17 +591,17 @@ def _keys(station: Any, ended: asyncio.Event) -> Iterator[None]:
 
 async def _order(station: Any, text: str) -> None:
     agents = getattr(station, "agents", None)
-    try:
-        if agents is None:
-            await station.agent.ask(orders.OrderReplay(text))
-            now = station.agent.replay.progress()
-        else:
-            for agent in agents.values():
-                await agent.ask(orders.OrderReplay(text))
-            now = next(iter(agents.values())).state.replay
-    except M100Error as error:
-        err.print(error.seen, style="yellow", markup=False)
+    asked = [station.agent] if agents is None else [*agents.values()]
+    refused = False
+    for agent in asked:  # one that refuses keeps the order from no other
+        try:
+            await agent.ask(orders.OrderReplay(text))
+        except M100Error as error:
+            refused = True
+            err.print(error.seen, style="yellow", markup=False)
+    if refused:
         return
+    now = station.agent.replay.progress() if agents is None else asked[0].state.replay
     if now is not None:
         speed = "max" if not now.speed else f"{now.speed:g} ×"
         state = "at its end" if now.is_at_end else "paused" if now.is_paused else speed

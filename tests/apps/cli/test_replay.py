@@ -150,3 +150,21 @@ async def test_a_key_is_an_order_to_every_replay_and_is_told_where_the_first_one
     await _order(SimpleNamespace(agents=agents), "toggle")
     assert asked == [(number, "toggle") for number in range(count)]
     assert capsys.readouterr().err == told + "\n"
+
+
+@pytest.mark.anyio
+async def test_a_replay_that_refuses_a_key_keeps_it_from_no_other(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    asked: list[str] = []
+
+    async def refuse(_: OrderReplay) -> None:
+        raise UsageError("nothing is played yet")
+
+    async def take(order: OrderReplay) -> None:
+        asked.append(order.text)
+
+    agents = {"left": SimpleNamespace(ask=refuse), "right": SimpleNamespace(ask=take)}
+    await _order(SimpleNamespace(agents=agents), "toggle")
+    assert asked == ["toggle"]
+    assert capsys.readouterr().err == "nothing is played yet\n"
