@@ -1,5 +1,7 @@
 """Read JSON, TOML and paths of others: whatever is wrong with a text is one ValueError.
 
+:func:`printable` is for showing their texts.
+
 The parsers of Python raise RecursionError for deep nesting, pass integers on that no float holds,
 and return halves of characters, which no file and no socket takes. A home folder of nobody is a
 RuntimeError. So nothing else in the package calls them.
@@ -15,13 +17,18 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-__all__ = ["read_json", "read_path", "read_toml"]
+__all__ = ["printable", "read_json", "read_path", "read_toml"]
 
 _MOST_DIGITS = 300
 """Digits of an integer: a float holds up to 308."""
 
 _MANY_DIGITS = re.compile(rf"[0-9]{{{_MOST_DIGITS}}}")
 _HALF = re.compile(r"\\u[dD][89a-fA-F]")
+
+
+def printable(text: str) -> str:
+    """A text for people: strangers' names are in it, and a terminal obeys some characters."""
+    return "".join(one if one.isprintable() else "\N{REPLACEMENT CHARACTER}" for one in text)
 
 
 def read_json(

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from m100link.errors.texts import read_json, read_path, read_toml
+from m100link.errors.texts import printable, read_json, read_path, read_toml
 from tests import limits
 from tests.test_house import PACKAGE, ROOT
 
@@ -85,6 +85,11 @@ def test_toml_is_read_as_it_is_meant() -> None:
 def test_a_home_of_nobody_stays_as_it_is() -> None:
     assert read_path("~nobody_of_that_name/x") == Path("~nobody_of_that_name/x")
     assert read_path("~/x") == Path.home() / "x"
+
+
+def test_a_text_of_a_stranger_is_one_line_that_no_terminal_obeys() -> None:
+    assert printable("Ann\u00e9 3 \u00b0") == "Ann\u00e9 3 \u00b0"
+    assert printable("a\x1b[2Jb\nc\u202ed\x9be\ud800") == "a\ufffd[2Jb\ufffdc\ufffdd\ufffde\ufffd"
 
 
 def test_nothing_else_in_the_package_parses_texts() -> None:

@@ -22,6 +22,7 @@ from m100link.apps.agent.server.authority import HoldingState
 from m100link.apps.agent.server.mission import push_of
 from m100link.apps.agent.transports import Channel
 from m100link.errors import AuthorityLost, GuardRefused, M100Error, NotObserved, UsageError
+from m100link.errors.texts import printable
 from m100link.flight.mission_state import MissionKind, MissionState
 from m100link.flight.missions.events import MissionEvent
 from m100link.link.statistics import ROUND_TRIP_BOUNDS_S
@@ -319,7 +320,7 @@ MAX_SETPOINT_AGE = 0.3
 """Seconds that a setpoint may have been on its way: an older one moves after the stick let go."""
 
 _MAX_ASKS = 64
-_MAX_NOTE = 200
+_MAX_NOTE, _MAX_LOGGED = 200, 4000  # characters; the second of what the flight log alone gets
 _NOTES_PER_S, _MAX_NOTES = 5.0, 20.0  # the others are dropped
 
 
@@ -494,9 +495,9 @@ class ClientSession:
 
     def _on_note(self, note: messages.JournalNote) -> None:
         if note.level in messages.LEVELS and self._notes.take(self._agent.now):
-            self._agent.journal.note(_line(note.text), note.level)
+            self._agent.journal.note(printable(note.text[:_MAX_NOTE]), note.level)
         elif note.level == messages.LOG_ONLY:
-            self._note("text", 0, text=_line(note.text))
+            self._note("text", 0, text=printable(note.text[:_MAX_LOGGED]))
 
     def _on_ask(self, ask: messages.Ask) -> None:
         order, lease = ask.order, ask.fence if ask.fence in self._leases else 0
@@ -516,10 +517,10 @@ class ClientSession:
             self._asks[lease] += 1
             self._unbegun += 1
             name = f"{order.label} for {self.name}"
-            self._agent.background.spawn(self._carry_out(ask, lease), name)
-            if not isinstance(order, _USUAL):
+            if not isinstance(order, _USUAL):  # first: it may be over before this goes on
                 asked = {"order": order.label, "id": ask.id, "stage": "asked", "arguments": order}
                 self._note("order", ask.fence, ends=order.ends, **asked)
+            self._agent.background.spawn(self._carry_out(ask, lease), name)
 
     async def _hover(self, ask: messages.Ask) -> None:
         self._begin(ask)
@@ -529,9 +530,8 @@ class ClientSession:
         agent, now = self._agent, self._agent.now
         holder = agent.leases.holder(now)
         if holder is not None and holder.number not in self._leases and self._notes.take(now):
-            agent.journal.note(
-                _line(why or f"{self.name}: hover"), "info", messages.EventTopic.HALTED
-            )
+            text = printable((why or f"{self.name}: hover")[:_MAX_NOTE])
+            agent.journal.note(text, "info", messages.EventTopic.HALTED)
 
     def _begin(self, ask: messages.Ask) -> Any:
         lease = self._leases.get(ask.fence)
@@ -589,11 +589,6 @@ class ClientSession:
 
 
 def _why(error: M100Error | None) -> dict[str, Any]:
-    return {} if error is None else {"error": error.error_code, "seen": _line(error.seen)}
-
-
-def _line(text: str) -> str:
-    """One line that is fit to be shown: strangers' names are in it, and a terminal obeys some."""
-    return "".join(
-        one if one.isprintable() else "\N{REPLACEMENT CHARACTER}" for one in text[:_MAX_NOTE]
-    )
+    if error is None:
+        return {}
+    return {"error": error.error_code, "seen": printable(error.seen[:_MAX_NOTE])}

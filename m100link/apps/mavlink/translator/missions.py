@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 
+from m100link.apps.agent.background import ignore
 from m100link.apps.mavlink.translator.codec import MavlinkMessage, Peer
 from m100link.apps.mavlink.translator.numbers import (
     MavCommand,
@@ -65,6 +66,9 @@ class MissionProtocol:
         self._upload: _Upload | None = None
         # The answer to an upload, which may be lost: an item that comes again is answered by it.
         self._answered: tuple[Peer, int, MissionResult, float] | None = None
+        # Called with who uploaded or cleared a mission, a fence or rally points, its items, and why
+        # they are refused; empty where they are not.
+        self.on_upload: Callable[[Peer, int, Sequence[MavlinkMessage], str], None] = ignore
         self.fence = Fence()  # what was uploaded last
         self.current = 0  # number of the item that is flown to, or would be
         self.edition = 0  # counts what was uploaded, cleared, or set to begin elsewhere
@@ -177,8 +181,10 @@ class MissionProtocol:
                     self._tell(Severity.NOTICE, f"mission: commands left out: {named}")
         except Refused as refused:
             self._tell(Severity.WARNING, f"mission refused: {refused.why}")
+            self.on_upload(peer, kind, items, refused.why)
             return refused.result
         self._stored[kind] = items
+        self.on_upload(peer, kind, items, "")
         if kind == MissionType.MISSION:
             self.edition += 1
             self.restart()
@@ -204,6 +210,7 @@ class MissionProtocol:
         for one in kinds:
             if one in self._stored:
                 self._stored[one] = ()
+                self.on_upload(peer, one, (), "")
             if one == MissionType.FENCE:
                 self.fence = Fence()
             elif one == MissionType.MISSION:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from m100link import __version__
 from m100link.apps.agent.client import AgentClient
@@ -74,15 +74,14 @@ class MavlinkVehicle:
         # Messages to send: to which peer, to which addresses, or None for everybody.
         self.outbox: list[tuple[MavlinkMessage, Peer | tuple[Address, ...] | None]] = []
         self.world = VehicleState(known, session)  # what is known of the aircraft
-        self._texts = telemetry.Texts(lambda text: known.note(text, LOG_ONLY))
+        self._texts = telemetry.Texts(self._note)
         self._parameters = ParameterProtocol(self.world, system)
-        settings = self._parameters.values
+        settings, tell = self._parameters.values, self._texts.tell
         self._offboard = Offboard(self.world, settings)
         self._manual = {
             mode: Manual(self.world, settings, is_tilt=mode is Mode.ALTCTL)
             for mode in (Mode.POSCTL, Mode.ALTCTL)
         }
-        tell = self._texts.tell
         streams: dict[Mode, Offboard | Manual] = {Mode.OFFBOARD: self._offboard, **self._manual}
         self.manager = FlightModeManager(self.world, tell, streams)
         self.manager.on_armed = self._armed
@@ -105,6 +104,7 @@ class MavlinkVehicle:
             may_change=self._may_change,
             refusal_of=self._commands.refusal_of,
         )
+        self._missions.on_upload = self._log_items
         self.flights = MissionFlights(self.world, self.manager, self._missions, tell)
         self._breach_m: float | None = None  # the least since it is outside; None inside
         # Peers that wait for the answer to arming, and when each last heard that it takes time.
@@ -166,7 +166,19 @@ class MavlinkVehicle:
     def _log(self, asked: Asked, result: MavResult) -> None:
         """Let the flight log say who asked for what, questions apart."""
         if asked.command not in _QUESTIONS or result is not MavResult.ACCEPTED:
-            self.world.known.note(f"{asked.peer.name}: {asked}: {result.name}", LOG_ONLY)
+            self._note(f"{asked.peer.name}: {asked}: {result.name}")
+
+    def _log_items(
+        self, peer: Peer, kind: int, items: Sequence[MavlinkMessage], refusal: str
+    ) -> None:
+        """Let the flight log have the mission or the fence that is in force, or why it is not."""
+        name = f"a {MissionType(kind).name.lower()} of {len(items)} items"
+        said = "; ".join(str(read_command(one, peer)) for one in items)
+        text = f"did not get {name}: {refusal}" if refusal else f"uploaded {name}: {said}"
+        self._note(f"{peer.name} {text}")
+
+    def _note(self, text: str) -> None:
+        self.world.known.note(text, LOG_ONLY)
 
     def _acknowledge(self, command: int, result: MavResult, peer: Peer) -> None:
         fields = {
@@ -197,6 +209,9 @@ class MavlinkVehicle:
     def _parameter(self, message: MavlinkMessage, peer: Peer, now: float) -> None:
         is_others = self.manager.other_operator(peer) is not None
         answers, refusal = self._parameters.receive(message, is_others=is_others)
+        if message.name == "PARAM_SET":
+            wanted = f"{message['param_id']} = {message['param_value']:g}"
+            self._note(f"{peer.name}: {wanted}: {(refusal and f'refused: {refusal}') or 'taken'}")
         if refusal:
             self._texts.tell(Severity.WARNING, refusal)
         for one in answers:
