@@ -170,6 +170,60 @@ class RateLimiter:
         return Thinned(packages, row)
 
 
+# -- values over time in few points, however long the flight: its peaks stay, and so do its hol ----
+
+
+_MOST_BUCKETS = 800
+
+
+class Curve:
+    """One value over time: its least and its largest in each of at most 800 spans.
+
+    Args:
+        gap_s: A pause longer than this leaves a hole.
+    """
+
+    __slots__ = ("_buckets", "_gap_s", "_width_s")
+
+    def __init__(self, gap_s: float = 2.0) -> None:
+        self._gap_s = gap_s
+        self._width_s = 0.02
+        # By number of the span: first and last time, and time and value of the least and largest.
+        self._buckets: dict[int, tuple[float, float, float, float, float, float]] = {}
+
+    def __len__(self) -> int:
+        return len(self._buckets)
+
+    def add(self, at_s: float, value: float) -> None:
+        """A value later than those before it; a number that is not finite is passed over."""
+        if not math.isfinite(value):
+            return
+        self._put(int(at_s / self._width_s), (at_s, at_s, at_s, value, at_s, value))
+        if len(self._buckets) > _MOST_BUCKETS:
+            self._width_s *= 2.0
+            before, self._buckets = self._buckets, {}
+            for bucket in before.values():
+                self._put(int(bucket[0] / self._width_s), bucket)
+
+    def _put(self, number: int, new: tuple[float, float, float, float, float, float]) -> None:
+        old = self._buckets.get(number)
+        if old is not None:
+            least = new[2:4] if new[3] < old[3] else old[2:4]
+            largest = new[4:6] if new[5] > old[5] else old[4:6]
+            new = (old[0], new[1], *least, *largest)
+        self._buckets[number] = new
+
+    def points(self) -> Iterator[tuple[float, float]]:
+        """Time, s, and value, in order; NaN stands in a hole."""
+        last = math.inf
+        for first, end, least_at, least, largest_at, largest in self._buckets.values():
+            if first - last > max(self._gap_s, 2.0 * self._width_s):
+                yield (first + last) / 2.0, math.nan
+            both = sorted({(least_at, least), (largest_at, largest)})
+            yield from both
+            last = end
+
+
 # -- a layout of panels for Foxglove and Lichtblick, for recorded flights and live ones ------------
 
 

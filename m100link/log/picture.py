@@ -18,7 +18,8 @@ from typing import Any, NamedTuple
 
 from m100link.errors import UsageError
 from m100link.geodesy import MapView, Place, svg_dot, svg_line, svg_text
-from m100link.log.story import Curve, FlightSummary, Span
+from m100link.log.channels import Curve
+from m100link.log.story import FlightSummary, Span
 
 # -- what is drawn of a flight, whether as a picture or as a page: panels, their curves, colour ----
 
@@ -66,12 +67,21 @@ def panels(story: FlightSummary) -> list[Panel]:
     """The panels that are drawn over time."""
     curves = story.curves
     return [
-        Panel("Height, m", (PlotLine("height", "#3b7dd8", curves.height_m),), (0.0, 2.0)),
+        Panel(
+            "Height, m",
+            (
+                PlotLine("height", "#3b7dd8", curves.height_m),
+                PlotLine("sent", "#9ab8e8", curves.sent_height_m),
+            ),
+            (0.0, 2.0),
+        ),
         Panel(
             "Speed, m/s",
             (
                 PlotLine("over ground", "#3b7dd8", curves.ground_speed_m_s),
+                PlotLine("sent", "#9ab8e8", curves.sent_speed_m_s),
                 PlotLine("climb", "#e8a33d", curves.climb_m_s),
+                PlotLine("sent climb", "#f2d29c", curves.sent_climb_m_s),
             ),
             (0.0, 1.0),
         ),
@@ -126,8 +136,11 @@ def line_quality(story: FlightSummary) -> str:
     share = 100.0 * damaged / max(1, damaged + whole)
     rates = [value for _, value in story.curves.packages_per_s.points() if not math.isnan(value)]
     named = ", ".join(f"{name} {count}" for name, count in causes.items() if count)
+    lost = (
+        f"{100.0 * story.lost_share:.1f} % of frames lost; " if story.lost_share is not None else ""
+    )
     return (
-        f"{damaged} frames damaged or cut off ({share:.1f} %), "
+        f"{lost}{damaged} frames damaged or cut off ({share:.1f} %), "
         f"{line.get('discarded_bytes', 0):,} bytes discarded" + (f" ({named})" if named else "")
         + f"; {line.get('repeats', 0)} repeats, {line.get('expired', 0)} requests without an "
         f"answer, {line.get('late_acks', 0)} answers late, "

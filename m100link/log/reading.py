@@ -127,7 +127,36 @@ class Summary:
     damage: Damage
 
 
+_MOST_MISSING = 3000  # half a minute; a larger step is a count that begins anew
 _ANSWERED_S = 20  # counters come once a second; until the version is known they have a default
+
+
+class FrameLoss:
+    """Counts the frames that never came whole, by the numbers that the aircraft gives its frames.
+
+    Attributes:
+        came: Numbered frames that came; acks have the number of their command, and do not count.
+        lost: Numbers that are missing between them.
+    """
+
+    def __init__(self) -> None:
+        self.came = self.lost = self._following = 0
+        self._last: int | None = None
+
+    def hear(self, sequence: int) -> None:
+        """The number of the next frame, 0 to 65535."""
+        step = 1 if self._last is None else (sequence - self._last) & 0xFFFF
+        self.came += 1
+        self._following += step == 1
+        self.lost += step - 1 if 1 < step < _MOST_MISSING else 0
+        self._last = sequence
+
+    @property
+    def share(self) -> float | None:
+        """The lost part of all, 0 to 1; None where most numbers do not follow each other."""
+        if self.came == 0 or self._following < self.came / 2:
+            return None
+        return self.lost / (self.came + self.lost)
 
 
 class FlightLog:
@@ -142,12 +171,14 @@ class FlightLog:
 
     Attributes:
         path: The file.
+        loss: Frames that came, and that were lost, as far as telemetry was read last.
     """
 
     def __init__(self, path: Path, acceleration: AccelerationMode | None = None) -> None:
         self.path = path
         self._acceleration = acceleration
         self._damage: Damage | None = None
+        self.loss = FrameLoss()
 
     def __repr__(self) -> str:
         return f"<flight log {self.path}>"
@@ -305,6 +336,8 @@ class FlightLog:
     def _heard(self, topics: Sequence[str]) -> Iterator[Message | Packages]:
         """The same without a look into packages; those of some reads come together."""
         feed = FrameDecoder().feed
+        self.loss = FrameLoss()
+        count = self.loss.hear
         received: dict[float, Message] = {}
         for message in self._messages((RX, CHUNKS, *topics)):
             topic = message.topic
@@ -324,6 +357,8 @@ class FlightLog:
                     content["offset_us"], accumulate(content["length"]), strict=True
                 ):
                     for frame in feed(data[begin:end]):
+                        if not frame.is_ack:
+                            count(frame.sequence)
                         if is_telemetry(frame):
                             found.append((frame.data[2:], began_at + offset_us / 1e6))
                     begin = end

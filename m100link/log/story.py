@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
+from m100link.errors import M100Error
 from m100link.geodesy import LocalFrame, Track
-from m100link.log.channels import COMMAND, EVENT, LINK
+from m100link.log.channels import COMMAND, EVENT, LINK, Curve
 from m100link.log.reading import FlightLog, Message, Packages
+from m100link.protocol.commands.control import Move
 from m100link.protocol.firmware import FirmwareProfile, profile
 from m100link.protocol.items import BY_RECORD
 from m100link.protocol.records import (
@@ -23,6 +25,7 @@ from m100link.protocol.records import (
     Position,
     Velocity,
 )
+from m100link.protocol.setpoint import Horizontal, ReceivedMove, Vertical
 from m100link.telemetry.integrity import (
     BATTERY_CRITICAL,
     BATTERY_LOW,
@@ -33,58 +36,7 @@ from m100link.telemetry.integrity import (
 )
 from m100link.telemetry.sample import Sample
 
-# -- values over time in few points, however long the flight: its peaks stay, and so do its hol ----
-
-
-_MOST_BUCKETS = 800
-
-
-class Curve:
-    """One value over time: its least and its largest in each of at most 800 spans.
-
-    Args:
-        gap_s: A pause longer than this leaves a hole.
-    """
-
-    __slots__ = ("_buckets", "_gap_s", "_width_s")
-
-    def __init__(self, gap_s: float = 2.0) -> None:
-        self._gap_s = gap_s
-        self._width_s = 0.02
-        # By number of the span: first and last time, and time and value of the least and largest.
-        self._buckets: dict[int, tuple[float, float, float, float, float, float]] = {}
-
-    def __len__(self) -> int:
-        return len(self._buckets)
-
-    def add(self, at_s: float, value: float) -> None:
-        """A value later than those before it; a number that is not finite is passed over."""
-        if not math.isfinite(value):
-            return
-        self._put(int(at_s / self._width_s), (at_s, at_s, at_s, value, at_s, value))
-        if len(self._buckets) > _MOST_BUCKETS:
-            self._width_s *= 2.0
-            before, self._buckets = self._buckets, {}
-            for bucket in before.values():
-                self._put(int(bucket[0] / self._width_s), bucket)
-
-    def _put(self, number: int, new: tuple[float, float, float, float, float, float]) -> None:
-        old = self._buckets.get(number)
-        if old is not None:
-            least = new[2:4] if new[3] < old[3] else old[2:4]
-            largest = new[4:6] if new[5] > old[5] else old[4:6]
-            new = (old[0], new[1], *least, *largest)
-        self._buckets[number] = new
-
-    def points(self) -> Iterator[tuple[float, float]]:
-        """Time, s, and value, in order; NaN stands in a hole."""
-        last = math.inf
-        for first, end, least_at, least, largest_at, largest in self._buckets.values():
-            if first - last > max(self._gap_s, 2.0 * self._width_s):
-                yield (first + last) / 2.0, math.nan
-            both = sorted({(least_at, least), (largest_at, largest)})
-            yield from both
-            last = end
+# -- places of an aircraft, live or recorded -------------------------------------------------------
 
 
 class HomePoint(NamedTuple):
@@ -170,6 +122,8 @@ _LOOKS = {"get_version", "query_task"}  # ask, and change nothing
 _HEAD = {"is_ack", "direction", "session", "sequence", "command"}
 _ASIDE = {"task_sequence", "redacted"}  # numbers that say nothing to anybody
 _STREAM_GAP_S = 0.5
+_STILL = b'"roll_or_x":0.0,"pitch_or_y":0.0,"throttle_or_z":0.0,"yaw":0.0'
+_DRAWN_S = 0.1  # a setpoint is drawn so often
 _CLOSED = "the link was closed by this side"
 
 
@@ -261,10 +215,11 @@ class Maxima:
 
 @dataclass
 class Curves:
-    """Values over time, thinned: see :class:`m100link.log.story.Curve`.
+    """Values over time, thinned: see :class:`m100link.log.channels.Curve`.
 
     Attributes:
         height_m, ground_speed_m_s, climb_m_s, battery_percent: As in telemetry.
+        sent_height_m, sent_speed_m_s, sent_climb_m_s: Of the setpoints that ask for such a value.
         packages_per_s: Telemetry packages that came in each second.
         discarded_bytes_per_s, round_trip_ms: Of the line.
     """
@@ -272,6 +227,9 @@ class Curves:
     height_m: Curve = field(default_factory=Curve)
     ground_speed_m_s: Curve = field(default_factory=Curve)
     climb_m_s: Curve = field(default_factory=Curve)
+    sent_height_m: Curve = field(default_factory=lambda: Curve(_STREAM_GAP_S))
+    sent_speed_m_s: Curve = field(default_factory=lambda: Curve(_STREAM_GAP_S))
+    sent_climb_m_s: Curve = field(default_factory=lambda: Curve(_STREAM_GAP_S))
     battery_percent: Curve = field(default_factory=lambda: Curve(gap_s=10.0))
     packages_per_s: Curve = field(default_factory=Curve)
     discarded_bytes_per_s: Curve = field(default_factory=Curve)
@@ -295,6 +253,7 @@ class FlightSummary:
         streams: When setpoints and the like were sent.
         repeats: Commands that were sent again because no answer came.
         discarded_bytes: Received bytes that belonged to no frame.
+        lost_share: Part of the aircraft's frames that never came whole, 0 to 1; None: unknown.
         line: The last counters of the link, as :class:`~m100link.LinkStatistics` has them.
         ended: Why the connection ended; None when the log does not say it.
         maxima: The largest of everything.
@@ -314,6 +273,7 @@ class FlightSummary:
     streams: list[Span] = field(default_factory=list)
     repeats: int = 0
     discarded_bytes: int = 0
+    lost_share: float | None = None
     line: dict[str, Any] = field(default_factory=dict)
     ended: str | None = None
     maxima: Maxima = field(default_factory=Maxima)
@@ -355,7 +315,7 @@ def read_story(
     story.began_utc = first.utc
     known = flight.firmware if firmware is None else profile(firmware)
     story.firmware = None if known is None else str(known)
-    commands = _CommandReader(story, first.at, interval_s, listener)
+    commands = _CommandReader(story, first.at, interval_s, listener, known)
     reader = _SampleReader(story, interval_s, listener)
     for one in flight.heard(COMMAND, EVENT, LINK, firmware=known):
         if not isinstance(one, Message):
@@ -368,6 +328,7 @@ def read_story(
             with suppress(ValueError, LookupError, TypeError, AttributeError):
                 commands.hear(one)
     story.duration_s = max(story.duration_s, reader.last_at or 0.0)
+    story.lost_share = flight.loss.share
     commands.end()
     reader.end()
     return story
@@ -382,15 +343,18 @@ class _CommandReader:
         began_at: float,  # clock of the first message, s
         interval_s: float,
         listener: Callable[[FlightSummary, float, Message], None] | None,
+        firmware: FirmwareProfile | None,
     ) -> None:
         self._began_at = began_at
-        self._story = story
+        self._story, self._firmware = story, firmware
         self._interval_s, self._listener = interval_s, listener
-        self._moved_at = -math.inf  # when a setpoint was looked into last, s
+        self._moved_at = self._drawn_at = -math.inf  # when a setpoint was looked into last, s
+        self._asked: Message | None = None  # the last setpoint of this stream that asks for motion
         # Number in `commands` and time of what waits for its answer, by session and sequence.
         self._open: dict[tuple[int, int], tuple[int, float]] = {}
         self._streams: dict[str, list[Any]] = {}  # begin and end of each, s, and how many
         self._holder: tuple[str, float] = ("pilot", 0.0)
+        self._cause = ""  # of the last loss of control, by the agent
         self._counted: tuple[float, dict[str, Any]] | None = None
 
     def hear_move(self, message: Message) -> None:
@@ -399,9 +363,25 @@ class _CommandReader:
         if at > self._story.duration_s:
             self._story.duration_s = at
         self._count_stream(at, "move")
+        if _STILL not in message.data:
+            self._asked = message
+        if at - self._drawn_at >= _DRAWN_S:
+            self._drawn_at = at
+            self._draw(at, message)
         if self._listener is not None and at - self._moved_at >= self._interval_s:
             self._moved_at = at
             self._listener(self._story, at, message)
+
+    def _draw(self, at: float, message: Message) -> None:
+        found, curves = read_move(message, self._firmware), self._story.curves
+        if found is None:
+            return
+        if found.mode.horizontal is Horizontal.VELOCITY:
+            curves.sent_speed_m_s.add(at, math.hypot(found.x, found.y))
+        if found.mode.vertical is Vertical.VELOCITY:
+            curves.sent_climb_m_s.add(at, found.z)
+        elif found.mode.vertical is Vertical.HEIGHT:
+            curves.sent_height_m.add(at, found.z)
 
     def hear(self, message: Message) -> None:
         at = message.at - self._began_at
@@ -442,7 +422,12 @@ class _CommandReader:
         if name not in self._streams:
             return
         begin, last, count = self._streams[name]
-        self._story.streams.append(Span(name, begin, last, f"{count} × {name}"))
+        text, asked = f"{count} × {name}", self._asked if name == "move" else None
+        if asked is not None and (wanted := read_move(asked, self._firmware)) is not None:
+            at = asked.at - self._began_at
+            text += f", the last with motion at {at:.2f} s: {wanted.in_words()}"
+            self._asked = None
+        self._story.streams.append(Span(name, begin, last, text))
 
     def _answer(self, at: float, content: dict[str, Any]) -> None:
         found = self._open.pop((content["session"], content["sequence"]), None)
@@ -459,12 +444,17 @@ class _CommandReader:
             error = content.get("error") or ""
             self._story.ended = None if content["is_connected"] else error
             if not content["is_connected"] and error != _CLOSED:
-                self._story.alarms.append(Span("link_lost", at, at, error))
+                self._story.alarms.append(Span("link_lost", at, at, error.partition("\n")[0]))
+        elif content["event"] == "control" and content["before"] == "held":
+            self._cause = content["why"].removeprefix("lost: ")
         elif content["event"] == "authority":
             before, after = content["before"], content["after"]
             if before == "held" and after not in ("held", "releasing"):
-                reason = f"control was lost: {content.get('reason') or after}"
-                self._story.alarms.append(Span("authority_lost", at, at, reason))
+                reason = content.get("reason")
+                if reason in (None, "", "unknown"):  # the connection learns it later
+                    reason = self._cause or reason or after
+                text = f"control was lost: {reason}"
+                self._story.alarms.append(Span("authority_lost", at, at, text))
             holder = "program" if after in ("held", "releasing") else "pilot"
             if holder != self._holder[0]:
                 self._hand_over(at)
@@ -496,6 +486,14 @@ class _CommandReader:
             self._stream(name)
         self._story.streams.sort(key=lambda span: span.begin_s)
         self._hand_over(self._story.duration_s)
+
+
+def read_move(message: Message, firmware: FirmwareProfile | None) -> ReceivedMove | None:
+    """A setpoint by its meaning; None for one that has none, or of another writer."""
+    with suppress(M100Error, LookupError, TypeError, ValueError):
+        move = Move(**message.content()["movement"])
+        return None if firmware is None else ReceivedMove.read(move, firmware)
+    return None
 
 
 class _SampleReader:

@@ -463,6 +463,19 @@ class ReceivedMove(NamedTuple):
         stable = bool(flag & 1) and profile.flag_bit0 is FlagBit0.STABLE_MODE
         return cls(mode, *values, frame=frame, stable=stable)
 
+    def in_words(self) -> str:
+        """Its values with unit and name: ``2 m/s north, 0 m/s east, 0 m/s up, 0 °/s yaw rate``."""
+        horizontal, vertical, turn = self.mode
+        flat, tilt = LIMITS[horizontal], ("roll", "pitch")
+        limits = (flat, flat, VERTICAL_LIMITS[vertical], YAW_LIMITS[turn])
+        names = (
+            *_HORIZONTAL_NAMES.get((horizontal, self.frame), tilt),
+            _VERTICAL_NAMES[vertical].removesuffix("_percent"),
+            "yaw" if turn is Yaw.ANGLE else "yaw rate",
+        )
+        said = zip(self[1:5], limits, names, strict=True)
+        return ", ".join(f"{value + 0.0:g} {limit.unit} {name}" for value, limit, name in said)
+
     def limited(self, profile: FirmwareProfile) -> Setpoint:
         """The nearest setpoint: tilt, velocities, thrust and yaw rate end at their limits.
 

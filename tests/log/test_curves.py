@@ -7,7 +7,8 @@ import math
 import pytest
 
 from m100link.geodesy import Track
-from m100link.log.story import Curve, FlightPath
+from m100link.log.channels import Curve
+from m100link.log.story import FlightPath
 from m100link.protocol.records import Position
 
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from m100link.log.channels import Curve
 from m100link.log.picture import Panel, PlotLine, clock, facts, ticks
-from m100link.log.story import Curve, FlightSummary
+from m100link.log.story import FlightSummary
 
 
 @pytest.mark.parametrize(

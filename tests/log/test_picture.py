@@ -14,8 +14,9 @@ import pytest
 
 from m100link.errors import UsageError
 from m100link.log import read
+from m100link.log.channels import Curve
 from m100link.log.picture import facts, page, panels, picture
-from m100link.log.story import Curve, FlightSummary, Moment, Span, read_story
+from m100link.log.story import FlightSummary, Moment, Span, read_story
 from tests.log.flight import fly
 
 

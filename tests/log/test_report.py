@@ -11,6 +11,7 @@ import pytest
 from m100link import connect
 from m100link.log import read
 from m100link.log.picture import line_quality
+from m100link.log.reading import FrameLoss
 from m100link.log.report import Sentence, report
 from m100link.log.story import FlightSummary, read_story
 from tests.log.flight import URL
@@ -48,7 +49,7 @@ NOTES: list[tuple[str, dict[str, Any], str]] = [
         "Anna uploaded a plan of 4 waypoints.",
     ),
     ("text", {"client": "ros", "text": "Bob: STOP"}, "Bob: STOP."),
-    ("journal", {"level": "info", "text": "stop"}, "Stop."),
+    ("journal", {"level": "info", "text": "stop"}, "stop."),
     ("lease", {"holder": "Bob", "why": "taken over"}, "Bob has the lease (taken over from Anna)."),
     ("lease", {"holder": "", "why": "expired"}, "Bob has the lease no more (expired)."),
     ("text", {"client": "x", "text": "a\x1b[2Jb"}, "a�[2Jb."),
@@ -105,14 +106,47 @@ async def test_the_line_is_judged(tmp_path: Path) -> None:
     """By the specification of the line: none is lost on a clean one, a tenth on the other."""
     async with connect(URL, record=tmp_path / "clean.mcap"):
         await asyncio.sleep(5.0)
-    assert line_quality(read_story(read(tmp_path / "clean.mcap"))).startswith("0 frames damaged")
+    assert line_quality(read_story(read(tmp_path / "clean.mcap"))).startswith(
+        "0.0 % of frames lost; 0 frames damaged or cut off (0.0 %)"
+    )
     lossy = "&damage=0.1"
     async with connect(URL + lossy, record=tmp_path / "lossy.mcap"):
         await asyncio.sleep(20.0)
     story = read_story(read(tmp_path / "lossy.mcap"))
     damaged, whole = sum(story.line["discards"].values()), story.line["frames_received"]
     assert 0.06 < damaged / (damaged + whole) < 0.16
+    assert story.lost_share is not None
+    assert 0.07 < story.lost_share < 0.13
     assert f"{story.line['discarded_bytes']:,} bytes discarded" in line_quality(story)
+
+
+async def test_frames_that_vanish_whole_are_counted(tmp_path: Path) -> None:
+    """No byte of them comes, so that only their numbers tell."""
+    async with connect(URL + "&loss=0.2&duplicate=0.1", record=tmp_path / "a.mcap"):
+        await asyncio.sleep(20.0)
+    story = read_story(read(tmp_path / "a.mcap"))
+    assert story.discarded_bytes == 0
+    assert story.lost_share is not None
+    assert 0.16 < story.lost_share < 0.24
+
+
+@pytest.mark.parametrize(
+    ("numbers", "share"),
+    [
+        ([], None),
+        ([7] * 50, None),  # an aircraft that does not count
+        ([65534, 65535, 0, 1], 0.0),
+        ([1, 2, 3, 3, 4], 0.0),  # one came twice
+        ([1, 2, 3, 4, 5, 7, 8, 9], 1 / 9),
+        ([1, 2, 3, 4, 30000, 30001, 30002], 0.0),  # switched off and on
+        ([3, 4, 5, 4, 5, 6], 0.0),  # one overtook another
+    ],
+)
+def test_lost_frames_by_their_numbers(numbers: list[int], share: float | None) -> None:
+    loss = FrameLoss()
+    for number in numbers:
+        loss.hear(number)
+    assert loss.share == (None if share is None else pytest.approx(share))
 
 
 async def test_a_version_that_comes_late_is_that_of_the_flight(tmp_path: Path) -> None:

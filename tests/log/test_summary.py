@@ -14,9 +14,9 @@ from mcap.writer import Writer
 
 from m100link.log import read
 from m100link.log import story as story_module
+from m100link.log.channels import Curve
 from m100link.log.reading import Message
 from m100link.log.story import (
-    Curve,
     FlightPath,
     FlightSummary,
     Moment,
@@ -209,7 +209,7 @@ def test_counters_of_the_line_are_differences_in_their_units(tmp_path: Path) -> 
 def test_a_listener_hears_setpoints_as_often_as_it_asks() -> None:
     heard: list[float] = []
     story = FlightSummary("made")
-    reader = _CommandReader(story, 100.0, 0.5, lambda _, at, __: heard.append(round(at, 3)))
+    reader = _CommandReader(story, 100.0, 0.5, lambda _, at, __: heard.append(round(at, 3)), None)
     data = json.dumps(sent(0.0, "move", 0)[2], separators=(",", ":")).encode()
     for step in range(12):
         reader.hear_move(Message("/m100/command", 101.0 + step / 8, 0.0, data))

@@ -438,3 +438,21 @@ def test_what_is_no_number_or_below_the_ground_has_no_nearest_setpoint() -> None
     for values in ((math.nan, 0, 1, 0), (0, math.inf, 1, 0), (0, 0, 1, -math.inf), (0, 0, -1, 0)):
         with pytest.raises(BadSetpoint):
             ReceivedMove(mode, *values).limited(profile("3.1"))
+
+
+@pytest.mark.parametrize(
+    ("mode", "frame", "said"),
+    [
+        ((VELOCITY, CLIMB, Yaw.RATE), 0, "1 m/s north, -2 m/s east, 3 m/s up, 4 °/s yaw rate"),
+        ((VELOCITY, HEIGHT, Yaw.ANGLE), 1, "1 m/s forward, -2 m/s right, 3 m height, 4 ° yaw"),
+        ((OFFSET, HEIGHT, Yaw.ANGLE), 0, "1 m north, -2 m east, 3 m height, 4 ° yaw"),
+        ((TILT, THRUST, Yaw.RATE), 1, "1 ° roll, -2 ° pitch, 3 % thrust, 4 °/s yaw rate"),
+        ((TILT, CLIMB, Yaw.RATE), 0, "1 ° roll, -2 ° pitch, 3 m/s up, 4 °/s yaw rate"),
+    ],
+)
+def test_a_movement_in_words_has_unit_and_frame(
+    mode: tuple[Horizontal, Vertical, Yaw], frame: int, said: str
+) -> None:
+    move = ReceivedMove(ControlMode(*mode), 1.0, -2.0, 3.0, 4.0, ReferenceFrame(frame))
+    assert move.in_words() == said
+    assert move._replace(x=-0.0).in_words().startswith("0 ")

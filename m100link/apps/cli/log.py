@@ -403,7 +403,8 @@ def info(file: Log, /, *, firmware: AsFlown = None, json: Json = False) -> int:
     if json:
         spans = {name: [one._asdict() for one in getattr(story, name)] for name in _SPANS}
         maxima = {"maxima": asdict(story.maxima), "ended": story.ended}
-        print_json(asdict(summary) | spans | maxima | {"line": story.line})
+        line = {"line": story.line, "lost_share": story.lost_share}
+        print_json(asdict(summary) | spans | maxima | line)
         return status(flight)
     began = summary.began_utc
     when = (
@@ -436,15 +437,22 @@ def info(file: Log, /, *, firmware: AsFlown = None, json: Json = False) -> int:
 def report_file(file: Log, /, *, firmware: AsFlown = None, json: Json = False) -> int:
     """Tell a flight in sentences: holders of control, orders and outcomes, and the end.
 
+    In brackets is what the aircraft did then, by its telemetry: place from the take-off point,
+    height above it, velocity over ground, battery, GPS.
+
     Names of clients are in logs of `serve`, `console`, `mavlink`, `ros2` and fleets.
     """
-    with reading(file, passes=3) as flight:
-        said = report(flight, read_story(flight, firmware=firmware))
+    with reading(file, passes=4) as flight:
+        said = report(flight, read_story(flight, firmware=firmware), firmware=firmware)
+    shown_at = -1.0
     for one in said:
         if json:
-            print_json(one._asdict())
-        else:
-            out.print(f"{one.at_s:9.1f} s  {one.text}", markup=False, soft_wrap=True)
+            print_json(one._asdict() | {"flown": one.flown._asdict()})
+            continue
+        flown = str(one.flown) if one.at_s - shown_at >= 0.1 else ""
+        shown_at = one.at_s if flown else shown_at
+        text = f"{one.at_s:9.2f} s  {one.text}" + (f"\n{'':13}[{flown}]" if flown else "")
+        out.print(text, markup=False, soft_wrap=True, highlight=False)
     return status(flight)
 
 

@@ -51,7 +51,7 @@ def test_a_log_is_recorded_and_reported(cli: CommandLine, flight: Path) -> None:
     [phase] = [one["text"] for one in told if one["kind"] == "flight"]
     assert phase.endswith("in phase ground.")
     assert "  The connection ended: " in cli("log", "report", str(flight)).out
-    assert "line: 0 frames damaged" in cli("log", "info", str(flight)).out
+    assert "line: 0.0 % of frames lost; 0 frames damaged" in cli("log", "info", str(flight)).out
     text = cli("log", "info", str(flight)).out
     assert "firmware 1.0" in text
     assert "recover" not in text

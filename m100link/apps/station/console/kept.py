@@ -19,13 +19,13 @@ from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
 from m100link.errors import M100Error
+from m100link.log.channels import Curve
 from m100link.log.reading import Message, read
-from m100link.log.story import Curve, Curves, FlightPath, FlightSummary, read_story
-from m100link.protocol.commands.control import Move
+from m100link.log.story import Curves, FlightPath, FlightSummary, read_move, read_story
 from m100link.protocol.firmware import FIRMWARE_1_0, PROFILES
 from m100link.protocol.items import ITEMS
 from m100link.protocol.records import Attitude, Position
-from m100link.protocol.setpoint import Horizontal, ReceivedMove, ReferenceFrame, Vertical, Yaw
+from m100link.protocol.setpoint import Horizontal, ReferenceFrame, Vertical, Yaw
 from m100link.telemetry.columns import columns_of
 from m100link.telemetry.integrity import has_fix
 from m100link.telemetry.sample import Sample
@@ -287,13 +287,10 @@ class _Rows:
 
     def _read(self, message: Message) -> dict[str, float]:
         """The numbers that a setpoint commands; none where it is of another writer."""
-        try:
-            move = Move(**message.content()["movement"])
-            mode, x, y, z, yaw, frame, _ = ReceivedMove.read(
-                move, PROFILES.get(self.firmware, FIRMWARE_1_0)
-            )
-        except (M100Error, LookupError, TypeError, ValueError):
+        sent = read_move(message, PROFILES.get(self.firmware, FIRMWARE_1_0))
+        if sent is None:
             return {}
+        mode, x, y, z, yaw, frame, _ = sent
         found: dict[str, float] = {}
         if mode.horizontal is Horizontal.TILT:
             found |= {"roll_deg": x, "pitch_deg": y}
