@@ -38,7 +38,6 @@ from m100link.apps.fleet.asking import believed, clocks_of
 from m100link.apps.fleet.identity import Revoked, sign_revoked
 from m100link.apps.fleet.keys import Keys, name_in, session_in
 from m100link.apps.fleet.logs.words import (
-    LogEntry,
     LogReply,
     pack_entries,
     pack_reply,
@@ -98,7 +97,7 @@ from m100link.log.channels import (
     TX,
     FrameInterpreter,
 )
-from m100link.log.folder import _is_ours
+from m100link.log.folder import LogEntry, _is_ours
 from m100link.log.pcapng import read_frames, write_pcapng
 from m100link.log.picture import page
 from m100link.log.recorder import Redaction

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import fcntl
+import hashlib
 import os
 import threading
 from pathlib import Path
@@ -14,10 +15,12 @@ from mcap.writer import Writer
 
 from m100link import connect
 from m100link.apps.agent.server.connection import by_driver, by_url
-from m100link.errors import NoAircraft
+from m100link.errors import NoAircraft, UsageError
 from m100link.log import Recorder, read
-from m100link.log.folder import Flights, default_folder, is_log_name
+from m100link.log.folder import Flights, LogDirectory, default_folder, is_log_name
 from m100link.sim import Driver, VirtualAircraft
+from tests.apps.fleet.logs.conftest import FIRST, SECOND, bytes_of
+from tests.apps.fleet.logs.conftest import directory as directory
 from tests.waiting import PATIENCE, blocking_until
 
 pytestmark = pytest.mark.anyio
@@ -310,3 +313,69 @@ def test_what_somebody_writes_or_somebody_else_wrote_is_left_alone(tmp_path: Pat
 )
 def test_a_log_has_a_name_of_its_time(name: str, is_one: bool) -> None:
     assert is_log_name(name) is is_one
+
+
+# -- the folder on board: logs, and nothing else that is in it or near it --------------------------
+
+
+def wanted() -> bool:
+    return True
+
+
+def test_the_newest_stands_first_and_what_is_written_is_said(directory: Path) -> None:
+    os.utime(directory / FIRST, (1000.0, 1000.0))
+    recorder = Recorder(directory)
+    names = {one.log: one for one in LogDirectory(directory).entries()}
+    assert list(names) == [recorder.path.name, FIRST]
+    assert (names[FIRST].size, names[FIRST].at, names[FIRST].is_written) == (300_000, 1000.0, False)
+    assert names[recorder.path.name].is_written
+    recorder._end()
+
+
+def test_a_piece_ends_where_the_log_does(directory: Path) -> None:
+    data, entry = LogDirectory(directory).piece(FIRST, 299_990, 64)
+    assert data == bytes_of(300_000)[-10:]
+    assert entry.size == 300_000
+    assert LogDirectory(directory).piece(FIRST, 400_000, 64)[0] == b""
+
+
+def test_the_digest_is_of_the_first_bytes(directory: Path) -> None:
+    found = LogDirectory(directory).digest(FIRST, 1000, wanted)
+    assert found == hashlib.sha256(bytes_of(300_000)[:1000]).digest()
+    with pytest.raises(UsageError, match="it has 300000 bytes"):
+        LogDirectory(directory).digest(FIRST, 300_001, wanted)
+    with pytest.raises(UsageError, match="the agent ends"):
+        LogDirectory(directory).digest(FIRST, 1000, lambda: False)
+
+
+def test_no_name_leads_out_and_no_link_anywhere(directory: Path) -> None:
+    secret = directory.parent / FIRST
+    secret.write_bytes(b"secret")
+    (directory / SECOND).symlink_to(secret)
+    (directory / "m100link-20260101-000002.mcap").mkdir()
+    os.mkfifo(directory / "m100link-20260101-000003.mcap")
+    (directory / "notes.mcap").write_bytes(b"theirs")
+    one = LogDirectory(directory)
+    assert [entry.log for entry in one.entries()] == [FIRST]
+    for name in (
+        SECOND,
+        f"../{FIRST}",
+        str(secret),
+        "notes.mcap",
+        "m100link-20260101-000002.mcap",
+        "m100link-20260101-000003.mcap",
+        "m100link-20260101-000009.mcap",
+        "",
+    ):
+        for ask in (
+            lambda name=name: one.piece(name, 0, 9),
+            lambda n=name: one.digest(n, 1, wanted),
+        ):
+            with pytest.raises(UsageError, match="no log"):
+                ask()
+
+
+def test_where_nothing_is_recorded_there_is_nothing(tmp_path: Path) -> None:
+    assert LogDirectory(None).entries() == LogDirectory(tmp_path / "none").entries() == []
+    with pytest.raises(UsageError):
+        LogDirectory(None).piece(FIRST, 0, 1)

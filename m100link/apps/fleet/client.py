@@ -23,13 +23,13 @@ from m100link.apps.fleet.control import FleetControl
 from m100link.apps.fleet.expiry import ORDER_AGE
 from m100link.apps.fleet.keys import DEFAULT_SITE, Keys, in_order, name_in, session_in
 from m100link.apps.fleet.logs.fetching import Fetched, LogFetcher, Progress
-from m100link.apps.fleet.logs.words import LogEntry
 from m100link.apps.fleet.missions.flight import mission_card
 from m100link.apps.fleet.payloads import Card, MissionCard, Result, unpack
 from m100link.apps.fleet.publisher import WALL_WITHIN_S
 from m100link.apps.fleet.revocations import Revocations
 from m100link.apps.fleet.signing import Seal, SealedBus
 from m100link.errors import GuardRefused, M100Error, OutcomeUnknown
+from m100link.log.folder import LogEntry
 
 _ANSWER_S = 1.5
 _LANDINGS_ASKED = 3

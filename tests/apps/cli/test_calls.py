@@ -21,7 +21,6 @@ import pytest
 from m100link.apps.cli import fleet_setup, flight, serve, sim
 from m100link.apps.cli.terminal import ExitCode
 from m100link.apps.fleet.logs.fetching import Fetched
-from m100link.apps.fleet.logs.words import LogEntry
 from m100link.apps.fleet.lost_link import LostLinkPlan
 from m100link.apps.fleet.payloads import MissionCard, MissionStage, Result
 from m100link.apps.station.fleet import default_order_logs
@@ -29,7 +28,7 @@ from m100link.errors import MissionRefused
 from m100link.flight.control import Control
 from m100link.flight.mission_state import MissionKind
 from m100link.flight.missions.events import ActionsDone, Finished, Reached
-from m100link.log.folder import default_folder
+from m100link.log.folder import LogEntry, default_folder
 from m100link.protocol import FlightPhase, FlightStatus, Gimbal
 from m100link.protocol.firmware import PROFILES
 from m100link.sim.clock import VirtualClockEventLoop

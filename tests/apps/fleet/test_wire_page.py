@@ -26,7 +26,7 @@ from m100link.apps.agent.orders import ORDERS, AskVersion, EndingOrder, LeaseOrd
 from m100link.apps.bus.network import Bus
 from m100link.apps.fleet.identity import Rights
 from m100link.apps.fleet.keys import Keys
-from m100link.apps.fleet.logs.words import LogEntry, LogReply
+from m100link.apps.fleet.logs.words import LogReply
 from m100link.apps.fleet.payloads import (
     VERSION,
     Asked,
@@ -42,6 +42,7 @@ from m100link.apps.fleet.payloads import (
 )
 from m100link.apps.fleet.pki import router_config
 from m100link.apps.fleet.signing import verifying
+from m100link.log.folder import LogEntry
 from tests.apps.bus.memory import fits
 from tests.apps.fleet.conftest import SITE, Rig
 from tests.apps.fleet.test_signing import RIGHTS

@@ -17,7 +17,7 @@ from m100link.apps.fleet.asking import PATIENCE_S, Asker, nobody_there, reason_o
 from m100link.apps.fleet.logs import words
 from m100link.apps.fleet.payloads import LogQuestion, Outcome, What, pack
 from m100link.errors import FleetError, M100Error, Unreachable, UsageError
-from m100link.log.folder import is_log_name
+from m100link.log.folder import LogEntry, is_log_name
 
 PIECE = 64 * 1024
 """Bytes that are asked for at once: little is under way when somebody else asks."""
@@ -55,7 +55,7 @@ class LogFetcher:
         self._clock = asyncio.get_running_loop().time
         self._has_answered = False
 
-    async def logs(self) -> list[words.LogEntry]:
+    async def logs(self) -> list[LogEntry]:
         """See :meth:`m100link.apps.fleet.FleetAircraft.logs`."""
         _, data = await self._ask(LogQuestion(What.LIST))
         return words.unpack_entries(data)
@@ -74,7 +74,7 @@ class LogFetcher:
         finally:
             part.close()  # at once: a cancelled task is cancelled at every wait
 
-    async def _entry(self, log: str) -> words.LogEntry:
+    async def _entry(self, log: str) -> LogEntry:
         if log and not is_log_name(log):
             raise UsageError(
                 f"{log!r} is no name of a log", remedy=f"m100link fleet log list {self._keys.name}"
@@ -94,9 +94,7 @@ class LogFetcher:
             )
         return found
 
-    async def _fetch(
-        self, entry: words.LogEntry, part: words.LogPart, progress: Progress
-    ) -> Fetched:
+    async def _fetch(self, entry: LogEntry, part: words.LogPart, progress: Progress) -> Fetched:
         name, size = self._keys.name, entry.size
         fetched = Fetched(name, entry.log, part.whole, size, 0, entry.is_written)
         if await _in_thread(part.whole.exists):
@@ -125,7 +123,7 @@ class LogFetcher:
                 )
             at = began_at = 0  # what was here from before is of something else
 
-    async def _same(self, entry: words.LogEntry, part: words.LogPart) -> int:
+    async def _same(self, entry: LogEntry, part: words.LogPart) -> int:
         """How many bytes of the log were fetched before."""
         have, digest = await _in_thread(part.whole_digest)
         if have > entry.size or await self._digest(entry.log, have) != digest:

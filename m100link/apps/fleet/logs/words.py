@@ -22,7 +22,7 @@ from m100link.apps.fleet import payloads
 from m100link.errors import UsageError
 from m100link.errors.texts import read_path
 from m100link.link.keyfile import is_at, keep_names
-from m100link.log.folder import is_log_name
+from m100link.log.folder import LogEntry, is_log_name
 
 MOST_PIECE = 256 * 1024
 """Bytes of a log that go in one answer at most."""
@@ -47,16 +47,6 @@ class LogReply:
     offset: int = 0  # first byte of the piece
     size: int = 0  # bytes that the log has now
     is_written: bool = False  # whether it is being written still
-
-
-@dataclass(frozen=True, slots=True)
-class LogEntry:
-    """One log on board."""
-
-    log: str  #: its name
-    size: int  #: its bytes now
-    at: float  #: when it was written last, POSIX time of the computer on board, s
-    is_written: bool  #: whether it is still being written
 
 
 def require_possible(question: payloads.LogQuestion) -> None:

@@ -13,9 +13,10 @@ from m100link.apps.agent.messages import MessageError
 from m100link.apps.bus.network import Question
 from m100link.apps.fleet.asking import PATIENCE_S
 from m100link.apps.fleet.logs.fetching import PIECE, Fetched, LogFetcher
-from m100link.apps.fleet.logs.words import LogEntry, LogReply, pack_entries, pack_reply
+from m100link.apps.fleet.logs.words import LogReply, pack_entries, pack_reply
 from m100link.apps.fleet.payloads import VERSION, OrderMessage, unpack
 from m100link.errors import FleetError, Unreachable, UsageError
+from m100link.log.folder import LogEntry
 from tests.apps.bus.memory import Weather
 from tests.apps.fleet.logs.conftest import FIRST, KEYS, SECOND, Road, bytes_of
 from tests.apps.fleet.logs.test_service import serving

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import hashlib
-import os
 import random
 import threading
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 from unittest.mock import MagicMock
 
@@ -17,7 +14,7 @@ import anyio
 import pytest
 
 from m100link.apps.fleet.keys import Keys
-from m100link.apps.fleet.logs.service import LogDirectory, LogService, OwnThreads
+from m100link.apps.fleet.logs.service import LogService, OwnThreads
 from m100link.apps.fleet.logs.words import (
     MOST_PIECE,
     LogReply,
@@ -25,8 +22,8 @@ from m100link.apps.fleet.logs.words import (
 )
 from m100link.apps.fleet.payloads import AskShow, LogQuestion, OrderMessage, Outcome, What, pack
 from m100link.errors import NotAllowed, UsageError
-from m100link.log.recorder import Recorder
-from tests.apps.fleet.logs.conftest import FIRST, KEYS, SECOND, Road, bytes_of
+from m100link.log.folder import LogDirectory
+from tests.apps.fleet.logs.conftest import FIRST, KEYS, Road, bytes_of
 
 pytestmark = pytest.mark.anyio
 
@@ -221,69 +218,3 @@ async def test_a_pattern_is_answered_under_its_own_key(road: Road) -> None:
         order = pack(road.asker().around(LogQuestion(What.LIST)))
         [answer] = await road.here.ask(Keys("field").log, order, timeout=1.0)
         assert answer.key == KEYS.log
-
-
-# -- the folder on board: logs, and nothing else that is in it or near it --------------------------
-
-
-def wanted() -> bool:
-    return True
-
-
-def test_the_newest_stands_first_and_what_is_written_is_said(directory: Path) -> None:
-    os.utime(directory / FIRST, (1000.0, 1000.0))
-    recorder = Recorder(directory)
-    names = {one.log: one for one in LogDirectory(directory).entries()}
-    assert list(names) == [recorder.path.name, FIRST]
-    assert (names[FIRST].size, names[FIRST].at, names[FIRST].is_written) == (300_000, 1000.0, False)
-    assert names[recorder.path.name].is_written
-    recorder._end()
-
-
-def test_a_piece_ends_where_the_log_does(directory: Path) -> None:
-    data, entry = LogDirectory(directory).piece(FIRST, 299_990, 64)
-    assert data == bytes_of(300_000)[-10:]
-    assert entry.size == 300_000
-    assert LogDirectory(directory).piece(FIRST, 400_000, 64)[0] == b""
-
-
-def test_the_digest_is_of_the_first_bytes(directory: Path) -> None:
-    found = LogDirectory(directory).digest(FIRST, 1000, wanted)
-    assert found == hashlib.sha256(bytes_of(300_000)[:1000]).digest()
-    with pytest.raises(UsageError, match="it has 300000 bytes"):
-        LogDirectory(directory).digest(FIRST, 300_001, wanted)
-    with pytest.raises(UsageError, match="the agent ends"):
-        LogDirectory(directory).digest(FIRST, 1000, lambda: False)
-
-
-def test_no_name_leads_out_and_no_link_anywhere(directory: Path) -> None:
-    secret = directory.parent / FIRST
-    secret.write_bytes(b"secret")
-    (directory / SECOND).symlink_to(secret)
-    (directory / "m100link-20260101-000002.mcap").mkdir()
-    os.mkfifo(directory / "m100link-20260101-000003.mcap")
-    (directory / "notes.mcap").write_bytes(b"theirs")
-    one = LogDirectory(directory)
-    assert [entry.log for entry in one.entries()] == [FIRST]
-    for name in (
-        SECOND,
-        f"../{FIRST}",
-        str(secret),
-        "notes.mcap",
-        "m100link-20260101-000002.mcap",
-        "m100link-20260101-000003.mcap",
-        "m100link-20260101-000009.mcap",
-        "",
-    ):
-        for ask in (
-            lambda name=name: one.piece(name, 0, 9),
-            lambda n=name: one.digest(n, 1, wanted),
-        ):
-            with pytest.raises(UsageError, match="no log"):
-                ask()
-
-
-def test_where_nothing_is_recorded_there_is_nothing(tmp_path: Path) -> None:
-    assert LogDirectory(None).entries() == LogDirectory(tmp_path / "none").entries() == []
-    with pytest.raises(UsageError):
-        LogDirectory(None).piece(FIRST, 0, 1)

@@ -17,7 +17,6 @@ import pytest
 from m100link.apps.agent.messages import MessageError, fault_of
 from m100link.apps.fleet.logs.words import (
     MOST_PIECE,
-    LogEntry,
     LogPart,
     LogReply,
     pack_entries,
@@ -28,6 +27,7 @@ from m100link.apps.fleet.logs.words import (
 )
 from m100link.apps.fleet.payloads import VERSION, LogQuestion, Outcome, What
 from m100link.errors import UsageError
+from m100link.log.folder import LogEntry
 from tests.disk import Disk
 
 NAME = "m100link-20260101-000000.mcap"
