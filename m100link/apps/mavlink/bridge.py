@@ -117,9 +117,9 @@ class Peers:
 class _Craft:
     """An aircraft: what translates, and what asks the agent."""
 
-    def __init__(self, agent: AgentClient, system: int, autopilot: int) -> None:
+    def __init__(self, agent: AgentClient, system: int, autopilot: int, logs: Path | None) -> None:
         session = ControlSession(agent, "MAVLink")
-        self.vehicle = MavlinkVehicle(agent, session, system, autopilot)
+        self.vehicle = MavlinkVehicle(agent, session, system, autopilot, logs)
         flights = self.vehicle.flights
         self.executor = OrderExecutor(agent, self.vehicle.world, self.vehicle.manager, flights)
         # By address: a peer that counts gaps must not count messages to another one.
@@ -142,6 +142,7 @@ class Bridge:
         drain: Callable[[], Iterable[tuple[bytes, Address]]] = tuple,
         signer: PacketSigner | None = None,  # signs what goes out, and refuses what is not signed
         autopilot: int = AUTOPILOT_PX4,  # MAV_AUTOPILOT of the heartbeat
+        logs: Path | None = None,  # the folder of flight logs; None where nothing is recorded
     ) -> None:
         for system in agents:
             if not 1 <= system <= HIGHEST_SYSTEM:
@@ -154,7 +155,7 @@ class Bridge:
         self._signer = signer
         self._clock = asyncio.get_running_loop().time
         self.peers = Peers(to)
-        self._crafts = [_Craft(agent, system, autopilot) for system, agent in agents.items()]
+        self._crafts = [_Craft(agent, system, autopilot, logs) for system, agent in agents.items()]
         self.vehicles = [craft.vehicle for craft in self._crafts]  # as they are translated
         self._ours = {0, *agents}  # system ids of our own words, and of nobody's
         # The share still to be read of each address, and when it was shared out: not by each step,

@@ -103,6 +103,7 @@ async def serving_mavlink(
         to=tuple(map(read_address, settings.mavlink_to)),
         signer=signer,
         autopilot=AUTOPILOTS[settings.autopilot],
+        logs=None if settings.no_record else settings.record,
     )
 
     drain()

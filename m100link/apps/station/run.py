@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 
 END_TIMEOUT = 15.0  # seconds that an agent has to give control authority back and end
 
-_NOT_FOR_FRONTS = ("url", "key", "key_file", "app_id", "token_file", "record", "origins", "unused")
+_NOT_FOR_FRONTS = ("url", "key", "key_file", "app_id", "token_file", "origins", "unused")
 _FOR_AGENTS = (
     *("url", "baud_rate", "firmware", "timeout", "acceleration", "sim"),
     *("app_id", "key", "key_file", "level"),

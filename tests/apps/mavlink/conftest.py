@@ -6,6 +6,7 @@ import asyncio
 import math
 from collections.abc import AsyncIterator, Callable
 from contextlib import AsyncExitStack, asynccontextmanager
+from pathlib import Path
 from typing import Any, cast
 
 import anyio
@@ -153,6 +154,7 @@ class Rig:
         signer: PacketSigner | None = None,
         settings: AircraftSettings | None = None,
         late: float = 0.0,
+        logs: Path | None = None,
         **options: Any,
     ) -> None:
         self.aircraft = VirtualAircraft(seed=5, firmware=firmware, settings=settings)
@@ -163,6 +165,7 @@ class Rig:
         self.sent: list[tuple[bytes, Address]] = []
         self.sequence = 0
         self.signer = signer
+        self.logs = logs
         self.late = late  # s that each message to and from the agent is under way
         # Later than any real clock says.
         self.ground_signer = signer and PacketSigner(signer.key, sent=2**47)
@@ -182,7 +185,7 @@ class Rig:
             await stack.enter_async_context(self.agent)
             self.service = AgentServer(self.agent)
             self.client = await stack.enter_async_context(AgentClient(self.way(), "mavlink"))
-            self.bridge = Bridge({1: self.client}, self._send, signer=self.signer)
+            self.bridge = Bridge({1: self.client}, self._send, signer=self.signer, logs=self.logs)
             self.vehicle = self.bridge.vehicles[0]
             self.work = self.agent.background.spawn(self.bridge.run(), "bridge")
             self.agent.background.spawn(self._beat(), "heartbeats")

@@ -603,12 +603,12 @@ async def test_nobody_is_one_of_our_own_aircraft_and_strangers_are_not_answered(
     for system in (0, 7, 9):
         one.bridge.received(frame(system), HERE)
         assert not one.bridge.peers.is_known(HERE)
-    one.bridge.received(frame(245, "LOG_REQUEST_LIST"), HERE)
+    one.bridge.received(frame(245, "PARAM_REQUEST_READ"), HERE)
     assert one.sent == [], "it has said no heartbeat"
     one.bridge.received(frame(245), HERE)
     assert one.bridge.peers.knows(FIRST, one.bridge._clock())
     one.sent.clear()  # the greeting
-    one.bridge.received(frame(245, "LOG_REQUEST_LIST"), HERE)
+    one.bridge.received(frame(245, "PARAM_REQUEST_READ"), HERE)
     [(data, address)] = one.sent
     assert ([two.system for two in MessageReader(data)], address) == ([7, 9], HERE)
 

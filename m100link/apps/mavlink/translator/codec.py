@@ -92,6 +92,10 @@ DEFINITIONS = """
 111 TIMESYNC: i64 tc1, i64 ts1
 117 LOG_REQUEST_LIST: u16 start, u16 end, u8 target_system, u8 target_component
 118 LOG_ENTRY: u32 time_utc, u32 size, u16 id, u16 num_logs, u16 last_log_num
+119 LOG_REQUEST_DATA: u32 ofs, u32 count, u16 id, u8 target_system, u8 target_component
+120 LOG_DATA: u32 ofs, u16 id, u8 count, u8[90] data
+121 LOG_ERASE: u8 target_system, u8 target_component
+122 LOG_REQUEST_END: u8 target_system, u8 target_component
 141 ALTITUDE: u64 time_usec, f32 altitude_monotonic, f32 altitude_amsl, f32 altitude_local, f32
     altitude_relative, f32 altitude_terrain, f32 bottom_clearance
 147 BATTERY_STATUS: i32 current_consumed, i32 energy_consumed, i16 temperature, u16[10]

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
 from m100link import __version__
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.control_session import ControlSession
 from m100link.apps.agent.messages import LOG_ONLY, Event, EventTopic
 from m100link.apps.agent.orders import FlyAround, FlyTo
+from m100link.apps.mavlink.files import FileService
 from m100link.apps.mavlink.order_executor import MissionFlights
 from m100link.apps.mavlink.translator import telemetry
 from m100link.apps.mavlink.translator.codec import LAYOUTS, Address, MavlinkMessage, Peer
@@ -67,7 +69,12 @@ class MavlinkVehicle:
     """The vehicle, with a system id of 1 to 250."""
 
     def __init__(
-        self, known: AgentClient, session: ControlSession, system: int, autopilot: int
+        self,
+        known: AgentClient,
+        session: ControlSession,
+        system: int,
+        autopilot: int,
+        logs: Path | None = None,  # the folder of its flight logs; None where nothing is recorded
     ) -> None:
         self.system = system
         self._autopilot = autopilot
@@ -106,12 +113,19 @@ class MavlinkVehicle:
         )
         self._missions.on_upload = self._log_items
         self.flights = MissionFlights(self.world, self.manager, self._missions, tell)
+        self.files = FileService(
+            logs, self._send, lambda work, name: known.background.spawn(work, name)
+        )
         self._breach_m: float | None = None  # the least since it is outside; None inside
         # Peers that wait for the answer to arming, and when each last heard that it takes time.
         self._arming: dict[Peer, float] = {}
         self._beaten_at = -math.inf
         self._beaten: tuple[object, ...] = ()
-        self._handlers: dict[str, Callable[[MavlinkMessage, Peer, float], None]] = {
+        self._handlers = self._by_name()
+
+    def _by_name(self) -> dict[str, Callable[[MavlinkMessage, Peer, float], None]]:
+        """The handler of each message, by its name."""
+        return {
             **dict.fromkeys(("COMMAND_LONG", "COMMAND_INT"), self._command),
             "SET_MODE": self._set_mode,
             **dict.fromkeys(_PARAMETER_MESSAGES, self._parameter),
@@ -123,8 +137,8 @@ class MavlinkVehicle:
             "REQUEST_DATA_STREAM": self._data_stream,
             "PING": self._ping,
             "TIMESYNC": self._timesync,
-            "LOG_REQUEST_LIST": self._no_logs,
-            "FILE_TRANSFER_PROTOCOL": self._no_files,
+            **self.files.handlers,
+            "LOG_ERASE": self._no_erasing,
         }
 
     @property
@@ -148,8 +162,8 @@ class MavlinkVehicle:
         component = message.fields.get("target_component", 0)
         return system in (0, self.system) and component in _TO_ALL
 
-    def _send(self, message: MavlinkMessage, peer: Peer | None = None) -> None:
-        self.outbox.append((message, peer))
+    def _send(self, message: MavlinkMessage, to: Peer | tuple[Address, ...] | None = None) -> None:
+        self.outbox.append((message, to))
 
     def _command(self, message: MavlinkMessage, peer: Peer, now: float) -> None:
         asked = read_command(message, peer)
@@ -249,18 +263,8 @@ class MavlinkVehicle:
                 MavlinkMessage("TIMESYNC", {"tc1": int(now * 1e9), "ts1": message["ts1"]}), peer
             )
 
-    def _no_logs(self, message: MavlinkMessage, peer: Peer, now: float) -> None:
-        """There are none here: without an answer programs wait for ever."""
-        self._send(MavlinkMessage("LOG_ENTRY", {}), peer)
-
-    def _no_files(self, message: MavlinkMessage, peer: Peer, now: float) -> None:
-        """There are none here: NAK, "unknown command", to the question of that number."""
-        payload = message["payload"]
-        sequence = (payload[0] | payload[1] << 8) + 1 & 0xFFFF
-        answer = [sequence & 0xFF, sequence >> 8, payload[2], 129, 1, payload[3]]
-        answer += [0] * (12 - len(answer)) + [7]
-        fields = {"payload": tuple(answer)} | peer.target
-        self._send(MavlinkMessage("FILE_TRANSFER_PROTOCOL", fields), peer)
+    def _no_erasing(self, message: MavlinkMessage, peer: Peer, now: float) -> None:
+        self._texts.tell(Severity.WARNING, "logs are not erased: the folder keeps its newest ones")
 
     # -- missions --------------------------------------------------------------------------------
 
@@ -390,6 +394,7 @@ class MavlinkVehicle:
             | Capability.MAVLINK2
             | Capability.MISSION_INT
             | Capability.MISSION_FENCE
+            | Capability.FTP
         )
         # Ground stations warn of a PX4 below 1.4.1: the version of m100link is the vendor's.
         fields = {

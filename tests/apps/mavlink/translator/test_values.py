@@ -428,18 +428,6 @@ def test_a_ping_and_a_time_are_answered_and_answers_are_not() -> None:
     told = MavlinkMessage("TIMESYNC", {"tc1": 2_500_000_000, "ts1": 99})
     assert answers(one, "TIMESYNC", tc1=0, ts1=99) == [told]
     assert answers(one, "TIMESYNC", tc1=5, ts1=99) == []
-    [none] = answers(one, "LOG_REQUEST_LIST", start=0, end=0xFFFF)
-    assert (none.name, any(none.fields.values())) == ("LOG_ENTRY", False)
-
-
-@pytest.mark.parametrize(("asked", "told"), [((0xFF, 1), (0, 2)), ((0xFF, 0xFF), (0, 0))])
-def test_a_question_for_files_is_refused_under_the_next_number(
-    asked: tuple[int, int], told: tuple[int, int]
-) -> None:
-    """FTP: number (16 bits), session, opcode 129 (NAK), size 1, opcode of the question, 7."""
-    payload = (*asked, 9, 3, *(0xAA for _ in range(247)))
-    [nak] = answers(vehicle(), "FILE_TRANSFER_PROTOCOL", payload=payload)
-    assert nak.fields == {"payload": (*told, 9, 129, 1, 3, *(0,) * 6, 7)} | TO_PEER
 
 
 def test_the_version_says_what_is_there() -> None:
@@ -450,7 +438,7 @@ def test_the_version_says_what_is_there() -> None:
         command=512,
         **{f"param{place}": 148.0 if place == 1 else math.nan for place in range(1, 8)},
     )
-    assert told["capabilities"] == 4 | 8 | 16 | 64 | 128 | 8192 | 16384
+    assert told["capabilities"] == 4 | 8 | 16 | 32 | 64 | 128 | 8192 | 16384
     assert (told["flight_sw_version"], told["vendor_id"]) == (0x010F00FF, 0x2CA3)
 
 
