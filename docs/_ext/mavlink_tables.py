@@ -18,9 +18,10 @@ from tables import TableDirective
 from m100link.apps.mavlink.translator.commands import COMMANDS
 from m100link.apps.mavlink.translator.numbers import MavCommand
 from m100link.apps.mavlink.translator.parameters import PARAMETERS
-from m100link.apps.mavlink.translator.route import ITEMS
+from m100link.apps.mavlink.translator.route import ITEMS, WITHOUT_EFFECT
 from m100link.apps.mavlink.translator.telemetry import STREAMS
 from m100link.apps.mavlink.translator.vehicle_state import MODES
+from m100link.missions.qgroundcontrol import command_name
 
 
 class Modes(TableDirective):
@@ -55,13 +56,15 @@ class Telemetry(TableDirective):
 
 
 class Items(TableDirective):
-    """Items of missions that are flown."""
+    """Items of missions that are flown, and those that are left out."""
 
     def rows(self) -> Iterable[Sequence[str]]:
         """One row per item."""
         yield "Number", "Item", "What it is here"
         for number, row in ITEMS.items():
             yield str(int(number)), f"``{MavCommand(number).name}``", row.meaning
+        named = ", ".join(map(command_name, sorted(WITHOUT_EFFECT)))
+        yield "others", named, "without effect; a text names them"
 
 
 class Settings(TableDirective):

@@ -51,7 +51,7 @@ from m100link.missions.waypoint import (
 _FILE_VERSION, _MISSION_VERSION = 1, 2
 _PARAMETERS = 7
 
-# MAVLink's names of the items in files of QGroundControl.
+# MAVLink's names of items in files of ground stations.
 _NAMES = {
     16: "NAV_WAYPOINT",
     17: "NAV_LOITER_UNLIM",
@@ -72,23 +72,28 @@ _NAMES = {
     178: "DO_CHANGE_SPEED",
     179: "DO_SET_HOME",
     181: "DO_SET_RELAY",
+    182: "DO_REPEAT_RELAY",
     183: "DO_SET_SERVO",
+    184: "DO_REPEAT_SERVO",
     189: "DO_LAND_START",
     195: "DO_SET_ROI_LOCATION",
     196: "DO_SET_ROI_WPNEXT_OFFSET",
     197: "DO_SET_ROI_NONE",
     200: "DO_CONTROL_VIDEO",
     201: "DO_SET_ROI",
+    202: "DO_DIGICAM_CONFIGURE",
     203: "DO_DIGICAM_CONTROL",
     204: "DO_MOUNT_CONFIGURE",
     205: "DO_MOUNT_CONTROL",
     206: "DO_SET_CAM_TRIGG_DIST",
+    207: "DO_FENCE_ENABLE",
     211: "DO_GRIPPER",
     214: "DO_SET_CAM_TRIGG_INTERVAL",
     530: "SET_CAMERA_MODE",
     531: "SET_CAMERA_ZOOM",
     532: "SET_CAMERA_FOCUS",
     1000: "DO_GIMBAL_MANAGER_PITCHYAW",
+    1001: "DO_GIMBAL_MANAGER_CONFIGURE",
     2000: "IMAGE_START_CAPTURE",
     2001: "IMAGE_STOP_CAPTURE",
     2003: "DO_TRIGGER_CONTROL",
@@ -118,8 +123,13 @@ class QgcItem(NamedTuple):
     @property
     def name(self) -> str:
         """Its name in MAVLink, and its number."""
-        name = _NAMES.get(self.command)
-        return f"{name} ({self.command})" if name else f"command {self.command}"
+        return command_name(self.command)
+
+
+def command_name(command: int) -> str:
+    """The name of a command in MAVLink, and its number; the number alone of others."""
+    name = _NAMES.get(command)
+    return f"{name} ({command})" if name else f"command {command}"
 
 
 def bad(field_name: str, seen: str, value: object, remedy: str = "") -> BadPlan:

@@ -381,7 +381,8 @@ class CommandProtocol:
         for what, order in legs:
             for error in preview(order, known.telemetry, known.state.limits).refusals:
                 if isinstance(error, GuardRefused) and error.guard == "envelope":
-                    return f"{what}: {error.seen}"
+                    where = error.seen.partition(" to ")[2]
+                    return f"{what}: {where}; --max-radius, --max-height widen it"
         return ""
 
     # -- messages and rates ----------------------------------------------------------------------

@@ -21,6 +21,7 @@ from m100link.apps.mavlink.translator.numbers import (
 )
 from m100link.apps.mavlink.translator.route import Refused, Route, read_route
 from m100link.geodesy import WGS84_FLATTENING, WGS84_SEMI_MAJOR_AXIS_M, LocalFrame
+from m100link.missions.qgroundcontrol import command_name
 
 MOST_ITEMS = 1000  # of a mission or a fence
 _AGAIN_S, _MOST_TRIES = 0.25, 30
@@ -176,9 +177,10 @@ class MissionProtocol:
                 route = read_route(items, ground=ground or 0.0, speed=self._speed())
                 if ground is not None and (why := self._refusal_of(route)):
                     raise Refused(MissionResult.INVALID, why)
-                if route.left_out:
-                    named = ", ".join(map(str, dict.fromkeys(route.left_out)))
-                    self._tell(Severity.NOTICE, f"mission: commands left out: {named}")
+                named = [command_name(one) for one in dict.fromkeys(route.left_out)]
+                for at in range(0, len(named), 4):  # as many as a text holds
+                    text = f"mission: without effect: {', '.join(named[at : at + 4])}"
+                    self._tell(Severity.NOTICE, text)
         except Refused as refused:
             self._tell(Severity.WARNING, f"mission refused: {refused.why}")
             self.on_upload(peer, kind, items, refused.why)

@@ -1,16 +1,16 @@
 """The meaning of a mission: its items as flights of the agent, and those not flown.
 
-An item that changes the way and that the M100 cannot fly refuses the mission; one of a payload that
-is not there is left out, and named. Both lists are here, and the manual is made from them.
+An item of a payload that no mission moves is left out, and named. Any other item that the M100
+cannot fly refuses the mission. Both lists are here, and the manual is made from them.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from m100link.apps.agent.orders import FlyTo
+from m100link.apps.agent.orders import FlyAround, FlyTo
 from m100link.apps.mavlink.translator.codec import MavlinkMessage
 from m100link.apps.mavlink.translator.numbers import RELATIVE, SEA_LEVEL, MavCommand, MissionResult
 from m100link.apps.mavlink.translator.vehicle_state import Mode
@@ -18,17 +18,29 @@ from m100link.errors import BadPlan
 from m100link.geodesy import normalize_degrees
 from m100link.missions.checks import MOST_ACTIONS
 from m100link.missions.plan import AtEnd, Heading, Stay, Waypoint, WaypointPlan
+from m100link.missions.qgroundcontrol import command_name
 from m100link.protocol.commands.waypoint import WaypointMission
 from m100link.protocol.firmware import PROFILES
 
-_LONGEST_WAIT = 600.0
+_LONGEST_WAIT, _MOST_TURNS = 600.0, 100.0
 FASTEST_M_S = 10.0
 """Of a leg, and what the pilot's stick adds to a mission that the aircraft flies included."""
 
 _LOWEST_M = 1.0  # of a first place that is flown to, above the ground
-_LAST_CONDITION = 114  # up to here a command is a NAV or CONDITION item
-_CHANGES_THE_WAY = {177, 192, 3000}
-"""DO_JUMP, DO_REPOSITION, VTOL transition: what is not a NAV item and moves all the same."""
+WITHOUT_EFFECT = frozenset(
+    {181, 182, 183, 184, 189, 195, 196, 197, *range(200, 208), 211, 214, 530, 531, 532}
+    | {1000, 1001, 2000, 2001, 2003, 2500, 2501}
+)
+"""Items of a payload, and marks: without them a mission has the same way."""
+
+_REMEDIES = {
+    82: "use NAV_WAYPOINT: the M100 flies straight lines",
+    84: "use NAV_TAKEOFF",
+    85: "use NAV_LAND",
+    177: "no loop is, write its items out",
+    179: "take it out: home is where the aircraft took off",
+    192: "use NAV_WAYPOINT",
+}
 
 
 class Refused(Exception):
@@ -41,7 +53,7 @@ class Refused(Exception):
 @dataclass(frozen=True, slots=True)
 class RoutePoint:
     item: int  # number of the item
-    order: FlyTo
+    order: FlyTo | FlyAround
     wait: float = 0.0  # seconds to hover there
 
 
@@ -64,68 +76,97 @@ class Route:
     def read(self, number: int, item: MavlinkMessage) -> None:
         command = item["command"]
         row = ITEMS.get(command)
-        if row is not None:
-            if self._is_over:
-                raise Refused(MissionResult.INVALID, f"item {number} comes after the end")
-            row.reader(self, number, item)
-        elif command <= _LAST_CONDITION or command in _CHANGES_THE_WAY:
-            raise Refused(
-                MissionResult.UNSUPPORTED, f"item {number}: the M100 does not fly command {command}"
-            )
-        else:
+        if row is None and command in WITHOUT_EFFECT:
             self.left_out.append(command)
+            return
+        try:
+            if row is None:
+                remedy = _REMEDIES.get(command, "take it out")
+                raise Refused(MissionResult.UNSUPPORTED, f"it cannot be flown: {remedy}")
+            if self._is_over:
+                raise Refused(MissionResult.INVALID, "it comes after the item that ends the way")
+            row.reader(self, number, item)
+        except Refused as refused:
+            why = f"item {number}, {command_name(command)}: {refused.why}"
+            raise Refused(refused.result, why) from None
 
-    def _height(self, number: int, item: MavlinkMessage) -> float:
+    def _height(self, item: MavlinkMessage) -> float:
         frame, height = item["frame"], float(item["z"])
         if frame in SEA_LEVEL:
             if self._ground is None:
                 raise Refused(MissionResult.ERROR, "the altitude of the ground is unknown")
             height -= self._ground
         elif frame not in RELATIVE:
-            raise Refused(
-                MissionResult.UNSUPPORTED_FRAME, f"item {number}: frame {frame} is not flown"
-            )
+            why = f"frame {frame}: give the altitude above home"
+            raise Refused(MissionResult.UNSUPPORTED_FRAME, why)
         if not 0.0 <= height < 1000.0:
-            raise Refused(MissionResult.INVALID, f"item {number}: a height of {height:.1f} m")
+            why = f"{height:.1f} m above the ground: 0 to 1000 m"
+            raise Refused(MissionResult.INVALID, why)
         return height
 
     def take_off(self, number: int, item: MavlinkMessage) -> None:
         """NAV_TAKEOFF."""
         if self.legs:
-            raise Refused(MissionResult.INVALID, f"item {number}: a take-off in the air")
-        self.height = self._height(number, item)
+            raise Refused(MissionResult.INVALID, "a take-off in the air: use NAV_WAYPOINT")
+        self.height = self._height(item)
 
     def waypoint(self, number: int, item: MavlinkMessage) -> None:
         """NAV_WAYPOINT, with its time."""
-        self._fly(number, item, _seconds(number, item["param1"]))
+        self._fly(number, item, _seconds(item["param1"]))
 
     def loiter(self, number: int, item: MavlinkMessage) -> None:
         """NAV_LOITER_UNLIM: the end."""
         self._fly(number, item, 0.0)
         self._is_over = True
 
+    def circle(self, number: int, item: MavlinkMessage) -> None:
+        """NAV_LOITER_TURNS: around the place before where it names none."""
+        turns, radius = float(item["param1"]), float(item["param3"])
+        if not (0.0 < turns <= _MOST_TURNS and 1.0 <= abs(radius) < math.inf):
+            why = f"{turns:g} turns of {abs(radius):g} m: up to {_MOST_TURNS:g}, from 1 m"
+            raise Refused(MissionResult.INVALID, why)
+        if self.legs and not (item["x"] or item["y"]):
+            before = self.legs[-1].order
+            place, height = (before.latitude_deg, before.longitude_deg), before.height
+        else:
+            place, height = _place(item), self._height(item)
+        speed = min(self._speed, math.sqrt(abs(radius)), abs(radius) / 2.0)
+        order = FlyAround(*place, height, abs(radius), speed, turns, clockwise=radius > 0.0)
+        self.legs.append(RoutePoint(number, order))
+
     def _fly(self, number: int, item: MavlinkMessage, wait: float) -> None:
-        latitude, longitude = _place(number, item)
         yaw = item["param4"]
         heading = math.remainder(yaw, 360.0) if math.isfinite(yaw) else None
-        height = self._height(number, item)
-        order = FlyTo(latitude, longitude, height, self._speed, heading)
+        order = FlyTo(*_place(item), self._height(item), self._speed, heading)
         self.legs.append(RoutePoint(number, order, wait))
+
+    def turn(self, number: int, item: MavlinkMessage) -> None:
+        """CONDITION_YAW to a heading, at the place before."""
+        before = self.legs[-1].order if self.legs else None
+        yaw, is_relative = item["param1"], item["param4"]
+        if not isinstance(before, FlyTo) or is_relative or not math.isfinite(yaw):
+            why = "only an absolute heading, behind a waypoint: name it in the waypoint"
+            raise Refused(MissionResult.INVALID, why)
+        order = replace(before, yaw_deg=math.remainder(yaw, 360.0))
+        self.legs.append(RoutePoint(number, order))
 
     def delay(self, number: int, item: MavlinkMessage) -> None:
         """NAV_DELAY by seconds."""
-        wait = _seconds(number, item["param1"])
+        wait = _seconds(item["param1"])
         if not wait or not self.legs:
-            raise Refused(MissionResult.INVALID, f"item {number}: a delay by seconds, in the air")
+            raise Refused(MissionResult.INVALID, "only seconds, behind a waypoint")
         last = self.legs[-1]
-        self.legs[-1] = RoutePoint(last.item, last.order, min(_LONGEST_WAIT, last.wait + wait))
+        self.legs[-1] = replace(last, wait=min(_LONGEST_WAIT, last.wait + wait))
 
     def change_speed(self, number: int, item: MavlinkMessage) -> None:
-        """DO_CHANGE_SPEED of the legs that follow."""
+        """DO_CHANGE_SPEED of the legs that follow; not of climb and descent, as the loops have."""
         speed = item["param2"]
-        if math.isfinite(speed) and speed > 0.0:
+        if item["param1"] not in (0.0, 1.0):
+            self.left_out.append(item["command"])
+        elif math.isfinite(speed) and speed > 0.0:
             if speed > FASTEST_M_S:
-                raise Refused(MissionResult.INVALID, f"item {number}: {speed:g} m/s is too fast")
+                why = f"{speed:g} m/s is too fast: up to {FASTEST_M_S:g}"
+                raise Refused(MissionResult.INVALID, why)
             self._speed = speed
 
     def go_home(self, number: int, item: MavlinkMessage) -> None:
@@ -136,8 +177,7 @@ class Route:
         """NAV_LAND: the end, at a place if one is named."""
         if (item["x"] or item["y"]) and self.legs:
             height = self.legs[-1].order.height
-            place = _place(number, item)
-            self.legs.append(RoutePoint(number, FlyTo(*place, height, self._speed)))
+            self.legs.append(RoutePoint(number, FlyTo(*_place(item), height, self._speed)))
         self.then, self._is_over = Mode.LAND, True
 
 
@@ -154,18 +194,20 @@ def _is_home(items: Sequence[MavlinkMessage], ground: float) -> bool:
     return sum(signs) > 1 and bool(first["command"] == MavCommand.NAV_WAYPOINT)
 
 
-def _place(number: int, item: MavlinkMessage) -> tuple[float, float]:
+def _place(item: MavlinkMessage) -> tuple[float, float]:
     latitude, longitude = item["x"] / 1e7, item["y"] / 1e7
     if not (abs(latitude) <= 89.0 and abs(longitude) <= 180.0) or not (latitude or longitude):
-        raise Refused(MissionResult.INVALID, f"item {number}: there is no such place")
+        why = f"there is no place {latitude:g}, {longitude:g} to fly to"
+        raise Refused(MissionResult.INVALID, why)
     return latitude, longitude
 
 
-def _seconds(number: int, value: float) -> float:
+def _seconds(value: float) -> float:
     if not math.isfinite(value):
         return 0.0
     if not 0.0 <= value <= _LONGEST_WAIT:
-        raise Refused(MissionResult.INVALID, f"item {number}: {value:g} s of hovering")
+        why = f"{value:g} s of hovering: 0 to {_LONGEST_WAIT:g}"
+        raise Refused(MissionResult.INVALID, why)
     return float(value)
 
 
@@ -176,18 +218,28 @@ class ItemRow:
 
 
 ITEMS: Mapping[int, ItemRow] = {
-    MavCommand.NAV_TAKEOFF: ItemRow(Route.take_off, "height of the climb after the take-off"),
+    MavCommand.NAV_TAKEOFF: ItemRow(
+        Route.take_off, "height of the climb after the take-off, in place: its place has no meaning"
+    ),
     MavCommand.NAV_WAYPOINT: ItemRow(Route.waypoint, "straight there; hold time, heading if named"),
     MavCommand.NAV_LOITER_TIME: ItemRow(Route.waypoint, "the same, with its time"),
     MavCommand.NAV_LOITER_UNLIM: ItemRow(Route.loiter, "straight there, and the end"),
+    MavCommand.NAV_LOITER_TURNS: ItemRow(
+        Route.circle,
+        "up to 100 turns around the place or the one before, from 1 m of radius, looking at it, "
+        "at most at √(radius in m) m/s",
+    ),
     MavCommand.NAV_DELAY: ItemRow(Route.delay, "seconds, at the waypoint before"),
-    MavCommand.DO_CHANGE_SPEED: ItemRow(Route.change_speed, "of the following items, up to 10 m/s"),
+    MavCommand.CONDITION_YAW: ItemRow(Route.turn, "absolute: turns there, at the waypoint before"),
+    MavCommand.DO_CHANGE_SPEED: ItemRow(
+        Route.change_speed, "of the following items, up to 10 m/s; not of climb and descent"
+    ),
     MavCommand.NAV_RETURN_TO_LAUNCH: ItemRow(
         Route.go_home, "the autopilot's return home at the end"
     ),
     MavCommand.NAV_LAND: ItemRow(Route.land, "the autopilot's landing at the end"),
 }
-"""By number. Other NAV and CONDITION items refuse the mission; all else is left out by name."""
+"""By number. Any other item refuses the mission, but for those of ``WITHOUT_EFFECT``."""
 
 
 def read_route(items: Sequence[MavlinkMessage], *, ground: float | None, speed: float) -> Route:
@@ -202,7 +254,8 @@ def read_route(items: Sequence[MavlinkMessage], *, ground: float | None, speed: 
         if number or not _is_home(items, ground or 0.0):
             route.read(number, item)
     if items and not route.legs:
-        raise Refused(MissionResult.INVALID, "the mission has no place to fly to")
+        why = "the mission has no place to fly to: add a waypoint"
+        raise Refused(MissionResult.INVALID, why)
     return route
 
 
@@ -237,6 +290,8 @@ def plan_of(legs: Sequence[RoutePoint], then: Mode, *, yaw_deg: float | None) ->
     before = headings[0]
     for leg, heading in zip(legs, headings, strict=True):
         order = leg.order
+        if isinstance(order, FlyAround):
+            raise Unfit(f"item {leg.item}: it is a circle")
         points.append(
             Waypoint(
                 order.latitude_deg,
@@ -248,7 +303,7 @@ def plan_of(legs: Sequence[RoutePoint], then: Mode, *, yaw_deg: float | None) ->
             )
         )
         before = heading
-    is_named = any(leg.order.yaw_deg is not None for leg in legs)
+    is_named = any(_yaw(leg) is not None for leg in legs)
     try:
         return WaypointPlan(
             points,
@@ -261,9 +316,13 @@ def plan_of(legs: Sequence[RoutePoint], then: Mode, *, yaw_deg: float | None) ->
         raise Unfit(_seen(problem, legs)) from None
 
 
+def _yaw(leg: RoutePoint) -> float | None:
+    return leg.order.yaw_deg if isinstance(leg.order, FlyTo) else None
+
+
 def _headings(legs: Sequence[RoutePoint], yaw_deg: float | None) -> list[float]:
     """Of each leg: what its item names, or what it was before."""
-    named = [leg.order.yaw_deg for leg in legs]
+    named = [_yaw(leg) for leg in legs]
     if all(one is None for one in named):
         return [0.0] * len(legs)  # the plan says that the heading stays
     if named[0] is None and yaw_deg is None:

@@ -204,7 +204,7 @@ async def test_a_mission_that_does_not_fit_has_no_space(ground: Ground) -> None:
 
 async def test_what_is_left_out_is_named(rig: Rig, ground: Ground) -> None:
     assert await Exchange(ground).upload(SQUARE) is MissionResult.ACCEPTED
-    await rig.until(lambda: "commands left out: 2000" in ground.texts)
+    await rig.until(lambda: "without effect: IMAGE_START_CAPTURE" in ground.texts)
 
 
 @pytest.mark.parametrize("firmware", ["1.0", "2.3", "3.1"])
@@ -230,6 +230,44 @@ async def test_a_mission_is_flown_from_the_ground_to_the_ground(firmware: str) -
         assert ground.last("MISSION_CURRENT")["total"] == 7
         await rig.until(lambda: not ground.armed(), within=120.0)
         assert math.hypot(*rig.aircraft.position) < 20.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("firmware", ["1.0", "3.1"])
+async def test_a_circle_and_a_heading_of_a_mission_are_flown_by_the_agent(firmware: str) -> None:
+    mission = [
+        item(MavCommand.NAV_TAKEOFF, z=6.0),
+        waypoint(10.0, 0.0),
+        item(MavCommand.CONDITION_YAW, param1=90.0, param4=0.0),
+        item(MavCommand.NAV_LOITER_TURNS, 25.0, 0.0, z=8.0, param1=1.0, param3=5.0),
+        item(MavCommand.NAV_LAND),
+    ]
+    async with Rig(firmware=firmware).running() as rig:
+        ground = rig.ground
+        assert await Exchange(ground).upload(mission) is MissionResult.ACCEPTED
+        assert await ground.set_mode(Mode.MISSION) is MavResult.ACCEPTED
+        await ground.arm()
+        reached: list[tuple[int, float]] = []  # with the heading of the truth, °
+        distances: list[float] = []  # from the centre, m, once it is on the circle
+
+        def is_down() -> bool:
+            known = [one["seq"] for one in ground.all("MISSION_ITEM_REACHED")]
+            yaw = math.degrees(rig.aircraft.vehicle.flight.dynamics.yaw)
+            reached.extend((number, yaw) for number in known[len(reached) :])
+            north, east = rig.aircraft.position
+            away = math.hypot(north - 25.0, east)
+            if ground.last("MISSION_CURRENT")["seq"] == 3 and (distances or abs(away - 5.0) < 0.3):
+                distances.append(away)
+            return not ground.armed() and len(reached) > 3
+
+        await rig.until(is_down, within=180.0)
+        assert [number for number, _ in reached] == [1, 2, 3, 4]
+        assert reached[1][1] == pytest.approx(90.0, abs=3.0)
+        assert min(distances[:1200]) > 4.0
+        assert max(distances[:1200]) < 6.0
+        assert len(distances) * 0.01 > 0.8 * math.tau * 5.0 / math.sqrt(5.0), "a whole turn"
+        if firmware == "3.1":
+            assert "flown from here, item 3: it is a circle" in ground.texts.replace("\n", "")
 
 
 async def test_hold_pauses_a_mission_and_it_goes_on(rig: Rig, ground: Ground) -> None:
@@ -274,8 +312,8 @@ TAKE_OFF = item(MavCommand.NAV_TAKEOFF, z=60.0)
 @pytest.mark.parametrize(
     ("items", "why"),
     [
-        ([waypoint(15.0, 0.1), waypoint(600.0, 0.1)], "item 1: fly_to to 600 m .* 150 m"),
-        ([waypoint(15.0, 0.1), waypoint(15.0, 9.0, z=51.0)], "item 1: fly_to .* 50 m"),
+        ([waypoint(15.0, 0.1), waypoint(600.0, 0.1)], "item 1: 600 m .* 150 m; --max-r"),
+        ([waypoint(15.0, 0.1), waypoint(15.0, 9.0, z=51.0)], "item 1: a height of 51.0 m .* 50 m"),
         ([TAKE_OFF, waypoint(15.0, 0.1)], "take-off: .* 50 m"),
     ],
 )

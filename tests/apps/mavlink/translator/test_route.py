@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from m100link.apps.agent.orders import FlyTo
+from m100link.apps.agent.orders import FlyAround, FlyTo
 from m100link.apps.mavlink.translator.codec import MavlinkMessage
 from m100link.apps.mavlink.translator.numbers import MissionResult
 from m100link.apps.mavlink.translator.route import (
@@ -90,8 +90,13 @@ def test_a_place_of_a_mission(command: int, given: dict[str, float], expected: R
         ([item(178, param1=1.0, param2=10.5), item(16)], MissionResult.INVALID),
         ([item(22)], MissionResult.INVALID),
         ([item(2000)], MissionResult.INVALID),
-        *(([item(16), item(n)], MissionResult.UNSUPPORTED) for n in (18, 31, 82, 95, 112, 114)),
-        *(([item(16), item(n)], MissionResult.UNSUPPORTED) for n in (34, 177, 192, 3000)),
+        ([item(18, param1=1.0, param3=0.5)], MissionResult.INVALID),
+        ([item(18, param1=0.0, param3=5.0)], MissionResult.INVALID),
+        ([item(18, param1=1.0, param3=math.nan)], MissionResult.INVALID),
+        ([item(18, param1=1.0, param3=5.0, x=0, y=0)], MissionResult.INVALID),
+        ([item(115, param1=90.0, param4=0.0)], MissionResult.INVALID),
+        ([item(16), item(115, param1=90.0, param4=1.0)], MissionResult.INVALID),
+        ([item(16), item(115, param1=90.0)], MissionResult.INVALID),
     ],
 )
 def test_what_is_not_flown_as_it_is_said_refuses_the_mission(
@@ -100,6 +105,63 @@ def test_what_is_not_flown_as_it_is_said_refuses_the_mission(
     with pytest.raises(Refused) as caught:
         read(*items)
     assert caught.value.result is result
+
+
+WITHOUT_EFFECT = {
+    *(181, 182, 183, 184, 189, 195, 196, 197, 200, 201, 202, 203, 204, 205, 206, 207, 211, 214),
+    *(530, 531, 532, 1000, 1001, 2000, 2001, 2003, 2500, 2501),
+}
+"""Camera, gimbal, gripper, servos and marks, by MAV_CMD of MAVLink's common.xml."""
+
+FLOWN = {16, 17, 18, 19, 20, 21, 22, 93, 115, 178}
+
+
+def test_every_other_command_refuses_the_mission_and_is_named() -> None:
+    """CONDITION_YAW, CONDITION_LOCATION and DO_SET_HOME were left out like a photograph."""
+    commands = {*range(1000), *range(1000, 65536, 97), 2000, 2001, 2003, 2500, 2501, 3000} - FLOWN
+    for command in WITHOUT_EFFECT:
+        assert read(item(16), item(command)).left_out == [command]
+    for command in commands - WITHOUT_EFFECT:
+        with pytest.raises(Refused, match=rf"item 1, .*\b{command}\b") as caught:
+            read(item(16), item(command))
+        assert caught.value.result is MissionResult.UNSUPPORTED
+
+
+def test_a_refusal_has_the_item_its_name_and_the_remedy() -> None:
+    for items, why in (
+        ([item(16), item(177)], "item 1, DO_JUMP (177): it cannot be flown: no loop is, write"),
+        ([item(82)], "item 0, NAV_SPLINE_WAYPOINT (82): it cannot be flown: use NAV_WAYPOINT"),
+        ([item(16), item(112)], "item 1, CONDITION_DELAY (112): it cannot be flown: take it out"),
+        ([item(16, z=1000.5)], "item 0, NAV_WAYPOINT (16): 1000.5 m above the ground: 0 to 1000"),
+        ([item(178, param1=1.0, param2=15.0)], "item 0, DO_CHANGE_SPEED (178): 15 m/s is too"),
+    ):
+        with pytest.raises(Refused) as caught:
+            read(*items)
+        assert caught.value.why.startswith(why)
+
+
+def test_turns_around_a_place_are_a_circle_at_a_speed_that_is_gentle() -> None:
+    there = item(18, param1=2.0, param3=-4.0)
+    around = FlyAround(-33.1234567, 151.2345678, 21.5, 4.0, 2.0, 2.0, clockwise=False)
+    assert read(there).legs == [RoutePoint(0, around)]
+    here = item(18, param1=0.5, param3=100.0, x=0, y=0, z=0.0)
+    around = FlyAround(-33.1234567, 151.2345678, 21.5, 100.0, 3.5, 0.5, clockwise=True)
+    assert read(item(16), here).legs == [leg(), RoutePoint(1, around)]
+
+
+def test_a_heading_of_its_own_is_a_turn_at_the_waypoint_before() -> None:
+    turn = item(115, param1=270.0, param4=0.0)
+    assert read(item(16), turn, item(16)).legs == [
+        leg(),
+        RoutePoint(1, leg(yaw=-90.0).order),
+        RoutePoint(2, leg().order),
+    ]
+
+
+def test_a_speed_of_climb_is_not_that_of_the_legs() -> None:
+    """2: climb, 3: descent (SPEED_TYPE)."""
+    route = read(*(item(178, param1=kind, param2=1.0) for kind in (2.0, 3.0)), item(16))
+    assert (route.legs[0].order.speed, route.left_out) == (3.5, [178, 178])
 
 
 # A made-up file as MAVProxy and Mission Planner write and upload it: number, current, frame,

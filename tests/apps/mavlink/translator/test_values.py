@@ -282,7 +282,9 @@ def test_what_is_not_flown_of_a_mission_is_named_once() -> None:
     for seq, command in enumerate((2000, 206, 2000)):
         one.item(seq, command=command)
     assert one.item(3) == [("ACK", OK, 245)]
-    assert one.texts == ["mission: commands left out: 2000, 206"]
+    assert one.texts == [
+        "mission: without effect: IMAGE_START_CAPTURE (2000), DO_SET_CAM_TRIGG_DIST (206)"
+    ]
     route = one.missions.route()
     assert route is not None
     assert [(leg.item, leg.order.speed) for leg in route.legs] == [(3, 3.5)]
