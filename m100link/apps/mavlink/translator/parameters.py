@@ -56,6 +56,7 @@ _SETUP: Mapping[str, tuple[int, str]] = {
     "RC_MAP_AUX2": (0, "0: none"),
     **{f"COM_FLTMODE{number}": (-1, _NO_SWITCH) for number in range(1, 7)},
     "BAT1_SOURCE": (1, "1: the aircraft reports its battery"),
+    "BAT1_N_CELLS": (6, "6, as TB47D and TB48D have"),
     "NAV_DLL_ACT": (1, "1: a lost ground station is a hold"),
     "NAV_RCL_ACT": (-1, _OF_DJI),
     "COM_LOW_BAT_ACT": (-1, _OF_DJI),
@@ -70,6 +71,10 @@ PARAMETERS: Mapping[str, ParamRow] = {
     "MIS_TAKEOFF_ALT": ParamRow(2.5, "height of a take-off without one, m", 1.5, 100.0),
     "RTL_RETURN_ALT": ParamRow(-1.0, _OF_DJI),
     "RTL_DESCEND_ALT": ParamRow(-1.0, _OF_DJI),
+    **dict.fromkeys(
+        ("BAT1_V_CHARGED", "BAT1_V_EMPTY", "BAT1_V_LOAD_DROP"),
+        ParamRow(-1.0, "of a cell: the aircraft does not report it: -1"),
+    ),
     "RTL_LAND_DELAY": ParamRow(0.0, "0: the autopilot lands at once"),
     "COM_RC_LOSS_T": ParamRow(STICKS_LIFETIME, "s without MANUAL_CONTROL until Position holds"),
     "COM_OF_LOSS_T": ParamRow(0.5, "s without a setpoint until OFFBOARD holds", 0.1, 2.0),

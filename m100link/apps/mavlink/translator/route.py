@@ -28,7 +28,7 @@ FASTEST_M_S = 10.0
 
 _LOWEST_M = 1.0  # of a first place that is flown to, above the ground
 WITHOUT_EFFECT = frozenset(
-    {181, 182, 183, 184, 189, 195, 196, 197, *range(200, 208), 211, 214, 530, 531, 532}
+    {*range(181, 185), 187, 189, 195, 196, 197, *range(200, 208), 211, 214, 530, 531, 532}
     | {1000, 1001, 2000, 2001, 2003, 2500, 2501}
 )
 """Items of a payload, and marks: without them a mission has the same way."""

@@ -396,10 +396,11 @@ class MavlinkVehicle:
             | Capability.MISSION_FENCE
             | Capability.FTP
         )
-        # Ground stations warn of a PX4 below 1.4.1: the version of m100link is the vendor's.
+        # Ground stations warn of a PX4 below 1.4.1, and of an official one (type 255) that is not
+        # the newest: it is one of development (0), and the version of m100link the vendor's.
         fields = {
             "capabilities": capabilities,
-            "flight_sw_version": 0x010F_00FF,
+            "flight_sw_version": 0x010F_0000,
             "vendor_id": _VENDOR,
             "product_id": _PRODUCT,
             "flight_custom_version": (0, 0, 0, 0, 0, patch & 0xFF, minor & 0xFF, major & 0xFF),

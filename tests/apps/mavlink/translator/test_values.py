@@ -433,7 +433,7 @@ def test_a_ping_and_a_time_are_answered_and_answers_are_not() -> None:
 
 
 def test_the_version_says_what_is_there() -> None:
-    """Vendor: DJI's number at the USB forum; 1.15.0, released, as a PX4 of today."""
+    """Vendor: DJI's number at the USB forum; 1.15.0, and of development."""
     [told, _] = answers(
         vehicle(),
         "COMMAND_LONG",
@@ -441,7 +441,7 @@ def test_the_version_says_what_is_there() -> None:
         **{f"param{place}": 148.0 if place == 1 else math.nan for place in range(1, 8)},
     )
     assert told["capabilities"] == 4 | 8 | 16 | 32 | 64 | 128 | 8192 | 16384
-    assert (told["flight_sw_version"], told["vendor_id"]) == (0x010F00FF, 0x2CA3)
+    assert (told["flight_sw_version"], told["vendor_id"]) == (0x010F0000, 0x2CA3)
 
 
 def test_set_mode_of_older_programs_names_a_mode_of_px4() -> None:
@@ -460,7 +460,7 @@ def test_set_mode_of_older_programs_names_a_mode_of_px4() -> None:
 def test_parameters_by_index_and_by_name_and_who_may_set_one() -> None:
     one = vehicle()
     [cruise] = answers(one, "PARAM_REQUEST_READ", param_id="MPC_XY_CRUISE", param_index=-1)
-    assert (cruise["param_value"], cruise["param_type"], cruise["param_count"]) == (5.0, 9, 41)
+    assert (cruise["param_value"], cruise["param_type"], cruise["param_count"]) == (5.0, 9, 45)
     index = cruise["param_index"]
     for place, name in ((index, "MPC_XY_CRUISE"), (0, "MAV_SYS_ID")):
         [told] = answers(one, "PARAM_REQUEST_READ", param_id="", param_index=place)
@@ -479,7 +479,7 @@ def test_parameters_by_index_and_by_name_and_who_may_set_one() -> None:
     [
         ("READ", {"param_id": "FOLL_MODE", "param_index": -1}, None, 1, ""),
         ("READ", {"param_id": "_HASH_CHECK", "param_index": -1}, None, 1, ""),
-        ("READ", {"param_id": "", "param_index": 41}, None, 1, ""),
+        ("READ", {"param_id": "", "param_index": 45}, None, 1, ""),
         ("SET", {"param_id": "NONE"}, None, 1, "there is no parameter NONE"),
         ("SET", {"param_id": "MPC_XY_CRUISE"}, None, 2, "MPC_XY_CRUISE is 0.5 to 10"),
         ("SET", {"param_id": "MPC_XY_CRUISE", "param_value": 4.0}, OTHER, 3, "somebody else flies"),
