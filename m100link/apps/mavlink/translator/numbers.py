@@ -73,6 +73,7 @@ class Sensor(IntFlag):
     MAGNETOMETER = 0x04
     GPS = 0x20
     RC = 0x10000
+    GEOFENCE = 0x100000
     PREARM = 0x10000000
 
 

@@ -61,6 +61,9 @@ def _sys_status(world: VehicleState, now: float) -> Fields:
         is_true = bit is not Sensor.GPS or (place and view.integrity.is_plausible)
         if view.get(record) is not None and is_true:
             health |= bit
+    is_fenced = world.is_fenced()
+    present |= 0 if is_fenced is None else Sensor.GEOFENCE
+    health |= 0 if is_fenced is False else Sensor.GEOFENCE  # without it MAVProxy says "breach"
     battery = view.get(records.Battery)
     percent = battery.percent if battery is not None else -1
     remote = view.get(records.RemoteControl)
@@ -325,7 +328,7 @@ class Stream:
 _SENSORS, _STATUS, _STICKS, _PLACE, _EXTRA1, _EXTRA2, _EXTRA3 = 1, 2, 3, 6, 10, 11, 12
 
 STREAMS: Mapping[str, Stream] = {
-    "SYS_STATUS": Stream(2, _STATUS, _sys_status, "arriving items, GPS health, battery"),
+    "SYS_STATUS": Stream(2, _STATUS, _sys_status, "arriving items, GPS health, battery, fence"),
     "EXTENDED_SYS_STATE": Stream(2, _STATUS, _extended, "flight status"),
     "GLOBAL_POSITION_INT": Stream(20, _PLACE, _global, "position, velocity, heading"),
     "LOCAL_POSITION_NED": Stream(20, _PLACE, _local, "the same, from home"),

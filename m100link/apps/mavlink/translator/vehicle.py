@@ -116,6 +116,7 @@ class MavlinkVehicle:
         self.files = FileService(
             logs, self._send, lambda work, name: known.background.spawn(work, name)
         )
+        self.world.is_fenced = self._is_fenced
         self._breach_m: float | None = None  # the least since it is outside; None inside
         # Peers that wait for the answer to arming, and when each last heard that it takes time.
         self._arming: dict[Peer, float] = {}
@@ -305,6 +306,13 @@ class MavlinkVehicle:
         if depth and fence.depth_m(*frame.to_geodetic(north * step, east * step)) >= depth:
             return f"{fence.refusal(*here)}: it does not lead out straight"
         return fence.on_the_way(here, end)
+
+    def _is_fenced(self) -> bool | None:
+        """Whether it is known to be inside of the fence; None without one."""
+        fence, place = self._missions.fence, self.world.known.view.place
+        if not fence.areas:
+            return None
+        return place is not None and not fence.depth_m(place.latitude_deg, place.longitude_deg)
 
     def _watch_fence(self) -> None:
         """Hold before the fence; from outside only flights lead back, not setpoints.

@@ -213,6 +213,8 @@ class VehicleState:
         self.home: Home | None = None  # where it stood last; None while nobody knows
         # The leg of a flight that is under way; None without one.
         self.target: Callable[[], GuidedOrder | None] = lambda: None
+        # Whether it is known to be inside of the fence; None without one.
+        self.is_fenced: Callable[[], bool | None] = lambda: None
 
     @property
     def height(self) -> float | None:

@@ -507,6 +507,24 @@ async def upload_fence(ground: Ground, *given: Item) -> None:
     assert await Exchange(ground).upload(list(given), MissionType.FENCE) is MissionResult.ACCEPTED
 
 
+async def test_a_breach_of_the_fence_is_told_while_there_is_one(rig: Rig, ground: Ground) -> None:
+    """MAVProxy said "fence breach" at each start: health without a fence was not good."""
+    bit = 0x100000  # MAV_SYS_STATUS_GEOFENCE
+
+    async def told() -> tuple[bool, bool, bool]:
+        await anyio.sleep(1.0)
+        status = ground.last("SYS_STATUS")
+        parts = ("present", "enabled", "health")
+        present, enabled, healthy = (status[f"onboard_control_sensors_{part}"] for part in parts)
+        return bool(present & bit), bool(enabled & bit), bool(healthy & bit)
+
+    assert await told() == (False, False, True)
+    await upload_fence(ground, item(5003, 0.01, 0.01, param1=30.0))
+    assert await told() == (True, True, True)
+    await upload_fence(ground, item(5003, 60.0, 0.01, param1=30.0))
+    assert await told() == (True, True, False)
+
+
 def tilt_north(ground: Ground, degrees: float = 30.0) -> None:
     """Begun again as soon as it is held."""
     half = math.radians(-degrees) / 2.0

@@ -104,7 +104,7 @@ TABLE: dict[str, dict[str, Any]] = {
     | {"voltages_ext": (0,) * 4},
     "SYS_STATUS": {"battery_remaining": 63, "voltage_battery": U16, "current_battery": -1}
     | {"errors_comm": 77, "drop_rate_comm": 0, "onboard_control_sensors_present": 0x10010027}
-    | {"onboard_control_sensors_health": 0x10010027}
+    | {"onboard_control_sensors_health": 0x10110027}
     | {"onboard_control_sensors_enabled": 0x10010027},
     "EXTENDED_SYS_STATE": {"vtol_state": 0, "landed_state": 2},
     # µs, 1500 in the middle; channels that are not there 65535, rssi 255
