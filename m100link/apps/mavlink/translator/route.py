@@ -85,6 +85,8 @@ class Route:
                 raise Refused(MissionResult.UNSUPPORTED, f"it cannot be flown: {remedy}")
             if self._is_over:
                 raise Refused(MissionResult.INVALID, "it comes after the item that ends the way")
+            if any(math.isinf(item[name]) for name in ("param1", "param2", "param3", "param4")):
+                raise Refused(MissionResult.INVALID, "a parameter is infinite")
             row.reader(self, number, item)
         except Refused as refused:
             why = f"item {number}, {command_name(command)}: {refused.why}"

@@ -79,6 +79,7 @@ def test_a_place_of_a_mission(command: int, given: dict[str, float], expected: R
         ([item(16, x=891_000_000)], MissionResult.INVALID),
         ([item(16, y=1_801_000_000)], MissionResult.INVALID),
         ([item(16, param1=-1.0)], MissionResult.INVALID),
+        *(([item(16, **{f"param{n}": math.inf})], MissionResult.INVALID) for n in range(1, 5)),
         ([item(16, param1=601.0)], MissionResult.INVALID),
         ([item(16), item(22), item(16)], MissionResult.INVALID),
         ([item(16), item(16), item(22)], MissionResult.INVALID),
