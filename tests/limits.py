@@ -84,9 +84,15 @@ def as_toml(value: object) -> object:
 
 
 def defaults(program: ast.AST, within: str = "") -> Defaults:
-    """Those of fields, as ``Class.field``, and of arguments, as ``function(argument)``."""
+    """Those of fields, as ``Class.field``, and of arguments, as ``function(argument)``.
+
+    A keyword of a class line is a field of the class; its words are texts.
+    """
     for node in ast.iter_child_nodes(program):
         if isinstance(node, ast.ClassDef):
+            for data in node.keywords:
+                if not isinstance(getattr(data.value, "value", None), str):
+                    yield f"{within}{node.name}.{data.arg}", data.value
             is_enum = any("Enum" in ast.unparse(base) for base in node.bases)  # names, not limits
             for one in [] if is_enum else node.body:
                 if isinstance(one, ast.Assign | ast.AnnAssign):

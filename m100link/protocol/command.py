@@ -72,6 +72,7 @@ class Command:
         SESSION_MODE: How it is sent; follows from the kind.
         SINCE: The first generation of firmware that knows it.
         NEEDS_ACTIVATION: Whether the aircraft refuses it before activation.
+        MOVES: Whether each one sets the aircraft in motion: :attr:`sets_in_motion`.
     """
 
     __slots__ = ()
@@ -83,11 +84,22 @@ class Command:
     SESSION_MODE: ClassVar[SessionMode] = SessionMode.NO_ACK
     SINCE: ClassVar[Generation] = Generation.V1_0
     NEEDS_ACTIVATION: ClassVar[bool] = True
+    MOVES: ClassVar[bool] = False
 
     _PREFIX: ClassVar[bytes]
 
-    def __init_subclass__(cls) -> None:
+    def __init_subclass__(cls, *, address: tuple[int, int] | None = None, **data: Any) -> None:
+        """The class data that are named, in lower case.
+
+        A dataclass with slots is made a second time, without them: then they stand in the class.
+        """
         super().__init_subclass__()
+        for name, value in data.items():
+            if name.upper() not in Command.__annotations__:
+                raise TypeError(f"{cls.__name__}: commands have no {name}")
+            setattr(cls, name.upper(), value)
+        if address is not None:
+            cls.ADDRESS = Address(*address)
         if hasattr(cls, "ADDRESS"):  # the four kinds have none
             cls._PREFIX = bytes(cls.ADDRESS)
             if "NAME" not in vars(cls):
@@ -131,7 +143,7 @@ class Command:
 
         Such a request leaves through a control block alone, as movement does.
         """
-        return False
+        return self.MOVES
 
     def fields(self) -> dict[str, Any]:
         """The decoded fields as JSON-ready values, in units for people."""
@@ -166,8 +178,8 @@ class Acknowledged(Generic[A]):
     ACK_IS_PLAIN: ClassVar[bool] = False
     UNREADABLE: ClassVar[AckCode] = SystemCode.NOT_SUPPORTED
 
-    def __init_subclass__(cls) -> None:
-        super().__init_subclass__()
+    def __init_subclass__(cls, **data: Any) -> None:
+        super().__init_subclass__(**data)
         for base in cls.__dict__.get("__orig_bases__", ()):
             origin = get_origin(base)
             if isinstance(origin, type) and issubclass(origin, Acknowledged):

@@ -23,10 +23,10 @@ from dataclasses import dataclass, field, replace
 from enum import Enum, IntEnum
 from functools import lru_cache
 from struct import Struct
-from typing import ClassVar, NamedTuple, Self
+from typing import NamedTuple, Self
 
 from m100link.errors import BadSetpoint
-from m100link.protocol.command import Address, Movement
+from m100link.protocol.command import Movement
 from m100link.protocol.commands.control import Move
 from m100link.protocol.firmware import FirmwareProfile, FlagBit0, Generation
 
@@ -165,7 +165,9 @@ _YAW_NAMES = {Yaw.ANGLE: "yaw_deg", Yaw.RATE: "yaw_rate_deg_s"}
 
 
 @dataclass(frozen=True, slots=True)
-class Setpoint(Movement):
+class Setpoint(
+    Movement, address=Move.ADDRESS, name=Move.NAME, level=Move.LEVEL, encrypted=Move.ENCRYPTED
+):
     """One movement command with units: :class:`Move` with a meaning.
 
     Build one with :meth:`tilt`, :meth:`velocity` or :meth:`position_offset`; all values are
@@ -183,11 +185,6 @@ class Setpoint(Movement):
     Raises:
         BadSetpoint: A value is not finite or outside its range, or the mode is not in the table.
     """
-
-    ADDRESS: ClassVar[Address] = Move.ADDRESS
-    NAME: ClassVar[str] = Move.NAME
-    LEVEL: ClassVar[int] = Move.LEVEL
-    ENCRYPTED: ClassVar[bool] = Move.ENCRYPTED
 
     mode: ControlMode
     x: float

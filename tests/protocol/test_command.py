@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
+from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 import pytest
@@ -65,6 +66,7 @@ from m100link.protocol.commands.missions import (
 from m100link.protocol.commands.registry import COMMANDS, address_of
 from m100link.protocol.commands.virtual_rc import Sync, VirtualRcData, VirtualRcSettings
 from m100link.protocol.fields import Laid, Number, Numbers
+from m100link.protocol.firmware import Generation
 from m100link.protocol.items import BY_NAME
 from m100link.session import SessionMode
 
@@ -390,6 +392,19 @@ def test_a_command_that_declares_neither_value_nor_parse_says_so() -> None:
         Empty().encode(FIRMWARE)
     with pytest.raises(ValueError, match="Empty is never parsed"):
         Empty.parse(b"", FIRMWARE)
+
+
+def test_a_class_line_names_the_data_of_a_command_and_no_others() -> None:
+    @dataclass(frozen=True, slots=True)
+    class Odd(Push, address=(0x7F, 0x03), name="strange", level=1, since=Generation.V3_1):
+        number: int
+
+    assert (Address(0x7F, 0x03), "strange", 1) == (Odd.ADDRESS, Odd.NAME, Odd.LEVEL)
+    assert (Odd.SINCE, Odd.ENCRYPTED, Odd.MOVES) == (Generation.V3_1, False, False)
+    with pytest.raises(TypeError, match="Wrong: commands have no speed"):
+        type("Wrong", (Push,), {}, speed=3)
+    assert PushTelemetry.NAME == "telemetry"
+    assert RequestAuthority.NAME == "request_authority"
 
 
 def test_bytes_and_codes_are_shown_as_json_can_carry_them() -> None:

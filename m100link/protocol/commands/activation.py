@@ -9,7 +9,6 @@ from typing import Any, ClassVar, Self
 from m100link.errors import BadAck, BadValue, PayloadTooLarge, UsageError
 from m100link.protocol.codes import AckCode, ActivationCode, MobileDataCode, RatesCode, VersionCode
 from m100link.protocol.command import (
-    Address,
     Command,
     Problem,
     Request,
@@ -121,11 +120,9 @@ def _text(raw: bytes) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class GetVersion(Request[Version]):
+class GetVersion(Request[Version], address=(0x00, 0x00), needs_activation=False):
     """0x00/0x00, get API version. The one byte of its value is arbitrary."""
 
-    ADDRESS: ClassVar[Address] = Address(0x00, 0x00)
-    NEEDS_ACTIVATION: ClassVar[bool] = False
     ACK_IS_PLAIN: ClassVar[bool] = True
 
     def value(self, profile: FirmwareProfile) -> bytes:
@@ -173,7 +170,7 @@ class GetVersion(Request[Version]):
 
 
 @dataclass(frozen=True, slots=True)
-class Activate(Request[ActivationCode]):
+class Activate(Request[ActivationCode], address=(0x00, 0x01), needs_activation=False):
     """0x00/0x01, activate API; always sent plain.
 
     Attributes:
@@ -183,8 +180,6 @@ class Activate(Request[ActivationCode]):
         bundle_id: 32 bytes, NUL padded.
     """
 
-    ADDRESS: ClassVar[Address] = Address(0x00, 0x01)
-    NEEDS_ACTIVATION: ClassVar[bool] = False
     ACK_IS_PLAIN: ClassVar[bool] = True
     UNREADABLE: ClassVar[AckCode] = ActivationCode.INVALID_PARAMETERS
 
@@ -226,7 +221,9 @@ _RATE_BYTES = 16
 
 
 @dataclass(frozen=True, slots=True)
-class SetTelemetryRates(Request[RatesCode]):
+class SetTelemetryRates(
+    Request[RatesCode], address=(0x00, 0x10), since=Generation.V3_1, needs_activation=False
+):
     """0x00/0x10, telemetry rates (firmware 3.1; earlier ones are set in the PC assistant).
 
     Attributes:
@@ -234,10 +231,7 @@ class SetTelemetryRates(Request[RatesCode]):
         as_sent: The 16 bytes of another program that cannot be said in rates; None elsewhere.
     """
 
-    ADDRESS: ClassVar[Address] = Address(0x00, 0x10)
-    NEEDS_ACTIVATION: ClassVar[bool] = False
     UNREADABLE: ClassVar[AckCode] = RatesCode.INVALID_PARAMETERS
-    SINCE: ClassVar[Generation] = Generation.V3_1
 
     rates_hz: dict[str, int] = field(default_factory=dict)
     as_sent: bytes | None = None
@@ -347,7 +341,5 @@ class MobileData(Command):
 
 
 @dataclass(frozen=True, slots=True)
-class SendToMobile(MobileData, Request[MobileDataCode]):
+class SendToMobile(MobileData, Request[MobileDataCode], address=(0x00, 0xFE)):
     """0x00/0xFE, transparent data to the mobile device, 1 to 100 bytes, about 8 kB/s."""
-
-    ADDRESS: ClassVar[Address] = Address(0x00, 0xFE)

@@ -8,18 +8,14 @@ from struct import Struct
 from typing import Any, ClassVar, NamedTuple, Self
 
 from m100link.protocol.codes import AckCode, ArmCode, AuthorityCode, TaskResultCode, TaskStartCode
-from m100link.protocol.command import Address, Movement, Problem, Request, exactly
+from m100link.protocol.command import Movement, Problem, Request, exactly
 from m100link.protocol.fields import Laid, Layout, Number
 from m100link.protocol.firmware import FirmwareProfile, Generation
 
 
 @dataclass(frozen=True, slots=True)
-class RequestAuthority(Request[AuthorityCode]):
+class RequestAuthority(Request[AuthorityCode], address=(0x01, 0x00), level=2, encrypted=True):
     """0x01/0x00, obtain (True) or release (False) control authority."""
-
-    ADDRESS: ClassVar[Address] = Address(0x01, 0x00)
-    LEVEL: ClassVar[int] = 2
-    ENCRYPTED: ClassVar[bool] = True
 
     obtain: bool
 
@@ -56,7 +52,7 @@ class Task(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class StartTask(Laid, Request[TaskStartCode]):
+class StartTask(Laid, Request[TaskStartCode], address=(0x01, 0x01), level=2, encrypted=True):
     """0x01/0x01, begin take-off, landing or go-home.
 
     Attributes:
@@ -64,9 +60,6 @@ class StartTask(Laid, Request[TaskStartCode]):
         task: The task as its number; numbers outside :class:`Task` are kept and rejected.
     """
 
-    ADDRESS: ClassVar[Address] = Address(0x01, 0x01)
-    LEVEL: ClassVar[int] = 2
-    ENCRYPTED: ClassVar[bool] = True
     ACK_CODE_SIZES: ClassVar[tuple[int, ...]] = (1, 2)
     UNREADABLE: ClassVar[AckCode] = TaskStartCode.REJECTED
     LAYOUT: ClassVar[Layout] = Layout(Number("task_sequence"), Number("task"))
@@ -84,12 +77,9 @@ class StartTask(Laid, Request[TaskStartCode]):
 
 
 @dataclass(frozen=True, slots=True)
-class QueryTask(Laid, Request[TaskResultCode]):
+class QueryTask(Laid, Request[TaskResultCode], address=(0x01, 0x02), level=2, encrypted=True):
     """0x01/0x02, ask for the result of the task with that number."""
 
-    ADDRESS: ClassVar[Address] = Address(0x01, 0x02)
-    LEVEL: ClassVar[int] = 2
-    ENCRYPTED: ClassVar[bool] = True
     ACK_CODE_SIZES: ClassVar[tuple[int, ...]] = (1, 2)
     UNREADABLE: ClassVar[AckCode] = TaskResultCode.NOT_CURRENT
     LAYOUT: ClassVar[Layout] = Layout(Number("task_sequence"))
@@ -108,7 +98,7 @@ class _MoveFields(NamedTuple):
     yaw: float
 
 
-class Move(_MoveFields, Movement):
+class Move(_MoveFields, Movement, address=(0x01, 0x03), level=2, encrypted=True):
     """0x01/0x03, movement: a control flag and four raw values, without an ack.
 
     :mod:`m100link.protocol.setpoint` defines the meaning of flag and values. On the wire the
@@ -120,10 +110,6 @@ class Move(_MoveFields, Movement):
     """
 
     __slots__ = ()
-
-    ADDRESS: ClassVar[Address] = Address(0x01, 0x03)
-    LEVEL: ClassVar[int] = 2
-    ENCRYPTED: ClassVar[bool] = True
 
     def value(self, profile: FirmwareProfile) -> bytes:
         """17 bytes."""
@@ -146,17 +132,12 @@ class Move(_MoveFields, Movement):
 
 
 @dataclass(frozen=True, slots=True)
-class Arm(Request[ArmCode]):
+class Arm(Request[ArmCode], address=(0x01, 0x05), level=2, encrypted=True, since=Generation.V3_1):
     """0x01/0x05, motors on (True) or off (False); firmware 3.1.
 
     Attributes:
         on: True or False; another number of another program is kept and refused.
     """
-
-    ADDRESS: ClassVar[Address] = Address(0x01, 0x05)
-    LEVEL: ClassVar[int] = 2
-    ENCRYPTED: ClassVar[bool] = True
-    SINCE: ClassVar[Generation] = Generation.V3_1
 
     on: int
 

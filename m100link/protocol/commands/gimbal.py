@@ -9,9 +9,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntFlag
 from struct import Struct
-from typing import Any, ClassVar, Self
+from typing import Any, Self
 
-from m100link.protocol.command import Address, Problem, Push, exactly, in_range
+from m100link.protocol.command import Problem, Push, exactly, in_range
 from m100link.protocol.firmware import FirmwareProfile, Generation
 
 GIMBAL_LIMITS_DEG = {"yaw": (-320.0, 320.0), "roll": (-35.0, 35.0), "pitch": (-90.0, 30.0)}
@@ -40,7 +40,7 @@ def _outside(
 
 
 @dataclass(frozen=True, slots=True)
-class GimbalSpeed(Push):
+class GimbalSpeed(Push, address=(0x01, 0x1A), level=1, encrypted=True, since=Generation.V2_3):
     """0x01/0x1A, turn the gimbal; it stops half a second after the last command.
 
     Attributes:
@@ -48,11 +48,6 @@ class GimbalSpeed(Push):
         flags: Bit 7 takes control of the gimbal; without it the aircraft ignores the command. Bit
             6 ignores the pilot's dial, bit 5 turns yaw back to the centre.
     """
-
-    ADDRESS: ClassVar[Address] = Address(0x01, 0x1A)
-    LEVEL: ClassVar[int] = 1
-    ENCRYPTED: ClassVar[bool] = True
-    SINCE: ClassVar[Generation] = Generation.V2_3
 
     yaw_deg_s: float = 0.0
     roll_deg_s: float = 0.0
@@ -102,7 +97,7 @@ class GimbalAngleMode(IntFlag):
 
 
 @dataclass(frozen=True, slots=True)
-class GimbalAngle(Push):
+class GimbalAngle(Push, address=(0x01, 0x1B), level=1, encrypted=True, since=Generation.V2_3):
     """0x01/0x1B, point the gimbal within a time.
 
     Attributes:
@@ -112,11 +107,6 @@ class GimbalAngle(Push):
         mode: Bits of :class:`GimbalAngleMode`; other bits are shown and never sent.
         duration_s: 0.1 to 25.5 seconds; faster than 400 degrees per second is discouraged.
     """
-
-    ADDRESS: ClassVar[Address] = Address(0x01, 0x1B)
-    LEVEL: ClassVar[int] = 1
-    ENCRYPTED: ClassVar[bool] = True
-    SINCE: ClassVar[Generation] = Generation.V2_3
 
     yaw_deg: float = 0.0
     roll_deg: float = 0.0
@@ -194,12 +184,8 @@ class GimbalAngle(Push):
 
 
 @dataclass(frozen=True, slots=True)
-class _CameraCommand(Push):
+class _CameraCommand(Push, level=1, encrypted=True, since=Generation.V2_3):
     """One byte that may be anything, as in the version query."""
-
-    LEVEL: ClassVar[int] = 1
-    ENCRYPTED: ClassVar[bool] = True
-    SINCE: ClassVar[Generation] = Generation.V2_3
 
     any: int = 0
 
@@ -226,21 +212,15 @@ class _CameraCommand(Push):
 
 
 @dataclass(frozen=True, slots=True)
-class TakePhoto(_CameraCommand):
+class TakePhoto(_CameraCommand, address=(0x01, 0x20)):
     """0x01/0x20, take one photograph."""
 
-    ADDRESS: ClassVar[Address] = Address(0x01, 0x20)
-
 
 @dataclass(frozen=True, slots=True)
-class StartVideo(_CameraCommand):
+class StartVideo(_CameraCommand, address=(0x01, 0x21)):
     """0x01/0x21, start recording video."""
 
-    ADDRESS: ClassVar[Address] = Address(0x01, 0x21)
-
 
 @dataclass(frozen=True, slots=True)
-class StopVideo(_CameraCommand):
+class StopVideo(_CameraCommand, address=(0x01, 0x22)):
     """0x01/0x22, stop recording video."""
-
-    ADDRESS: ClassVar[Address] = Address(0x01, 0x22)

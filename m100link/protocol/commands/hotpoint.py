@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from m100link.protocol.codes import MissionCode
-from m100link.protocol.command import Address
 from m100link.protocol.commands.missions import (
     Answer,
     AnyByte,
@@ -44,7 +43,7 @@ class HotpointStartAnswer(Answer):
 
 
 @dataclass(frozen=True, slots=True)
-class HotpointStart(Laid, MissionRequest[HotpointStartAnswer]):
+class HotpointStart(Laid, MissionRequest[HotpointStartAnswer], address=(0x03, 0x20), moves=True):
     """0x03/0x20, circle around a point, at once.
 
     Attributes:
@@ -61,7 +60,6 @@ class HotpointStart(Laid, MissionRequest[HotpointStartAnswer]):
         version: 0.
     """
 
-    ADDRESS: ClassVar[Address] = Address(0x03, 0x20)
     LAYOUT: ClassVar[Layout] = Layout(
         Number("version", "B", 0, 0),
         latitude(),
@@ -85,28 +83,19 @@ class HotpointStart(Laid, MissionRequest[HotpointStartAnswer]):
     yaw_mode: int = 1
     version: int = 0
 
-    @property
-    def sets_in_motion(self) -> bool:
-        """It begins at once."""
-        return True
-
 
 @dataclass(frozen=True, slots=True)
-class HotpointStop(AnyByte, MissionRequest[MissionCode]):
+class HotpointStop(AnyByte, MissionRequest[MissionCode], address=(0x03, 0x21)):
     """0x03/0x21, end the circle and hover."""
 
-    ADDRESS: ClassVar[Address] = Address(0x03, 0x21)
-
 
 @dataclass(frozen=True, slots=True)
-class HotpointPauseResume(PauseResume):
+class HotpointPauseResume(PauseResume, address=(0x03, 0x22)):
     """0x03/0x22, pause (0) or resume (1) the circle."""
 
-    ADDRESS: ClassVar[Address] = Address(0x03, 0x22)
-
 
 @dataclass(frozen=True, slots=True)
-class HotpointSetRate(Laid, Unconfirmed):
+class HotpointSetRate(Laid, Unconfirmed, address=(0x03, 0x23)):
     """0x03/0x23, change direction and rate.
 
     Attributes:
@@ -114,7 +103,6 @@ class HotpointSetRate(Laid, Unconfirmed):
         angular_rate: 0 to 30 degrees per second.
     """
 
-    ADDRESS: ClassVar[Address] = Address(0x03, 0x23)
     LAYOUT: ClassVar[Layout] = Layout(_CLOCKWISE, _RATE)
 
     clockwise: int
@@ -122,24 +110,21 @@ class HotpointSetRate(Laid, Unconfirmed):
 
 
 @dataclass(frozen=True, slots=True)
-class HotpointSetRadius(Laid, Unconfirmed):
+class HotpointSetRadius(Laid, Unconfirmed, address=(0x03, 0x24)):
     """0x03/0x24, change the radius.
 
     Attributes:
         radius: 5 to 500 m.
     """
 
-    ADDRESS: ClassVar[Address] = Address(0x03, 0x24)
     LAYOUT: ClassVar[Layout] = Layout(Number("radius", "f", *_RADIUS, "m"))
 
     radius: float
 
 
 @dataclass(frozen=True, slots=True)
-class HotpointResetYaw(AnyByte, Unconfirmed):
+class HotpointResetYaw(AnyByte, Unconfirmed, address=(0x03, 0x25)):
     """0x03/0x25, turn the nose back to where the yaw mode wants it."""
-
-    ADDRESS: ClassVar[Address] = Address(0x03, 0x25)
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,14 +141,12 @@ class HotpointDownloadAnswer(DownloadAnswer[HotpointStart]):
 
 
 @dataclass(frozen=True, slots=True)
-class HotpointDownload(AnyByte, MissionRequest[HotpointDownloadAnswer]):
+class HotpointDownload(AnyByte, MissionRequest[HotpointDownloadAnswer], address=(0x03, 0x26)):
     """0x03/0x26, ask for the circle that the aircraft flies."""
-
-    ADDRESS: ClassVar[Address] = Address(0x03, 0x26)
 
 
 @dataclass(frozen=True, slots=True)
-class HotpointAutoRadius(Laid, MissionRequest[MissionCode]):
+class HotpointAutoRadius(Laid, MissionRequest[MissionCode], address=(0x03, 0x27), moves=True):
     """0x03/0x27, let the radius change by itself; DJI's documents call it not available.
 
     Attributes:
@@ -171,16 +154,10 @@ class HotpointAutoRadius(Laid, MissionRequest[MissionCode]):
         rate: How fast; no source states its unit.
     """
 
-    ADDRESS: ClassVar[Address] = Address(0x03, 0x27)
     LAYOUT: ClassVar[Layout] = Layout(Number("enable", words=("off", "on")), Number("rate", "b"))
 
     enable: int
     rate: int = 0
-
-    @property
-    def sets_in_motion(self) -> bool:
-        """It changes the circle."""
-        return True
 
 
 # -- following a target: 0x03/0x30 to 0x33 of firmware 3.1 -----------------------------------------
@@ -195,7 +172,7 @@ _TARGET = (
 
 
 @dataclass(frozen=True, slots=True)
-class FollowStart(Laid, MissionRequest[MissionCode]):
+class FollowStart(Laid, MissionRequest[MissionCode], address=(0x03, 0x30), moves=True):
     """0x03/0x30, follow a target, at once, keeping the distance of the beginning.
 
     Attributes:
@@ -207,7 +184,6 @@ class FollowStart(Laid, MissionRequest[MissionCode]):
         sensitivity: DJI's library sends 1, its document says 0; ignored.
     """
 
-    ADDRESS: ClassVar[Address] = Address(0x03, 0x30)
     LAYOUT: ClassVar[Layout] = Layout(
         Number("mode", "B", 0, 0),
         Number("yaw_mode", words=("by_rc", "to_target")),
@@ -223,28 +199,19 @@ class FollowStart(Laid, MissionRequest[MissionCode]):
     angle: int = 0
     sensitivity: int = 1
 
-    @property
-    def sets_in_motion(self) -> bool:
-        """It begins at once."""
-        return True
-
 
 @dataclass(frozen=True, slots=True)
-class FollowStop(AnyByte, MissionRequest[MissionCode]):
+class FollowStop(AnyByte, MissionRequest[MissionCode], address=(0x03, 0x31)):
     """0x03/0x31, stop following and hover."""
 
-    ADDRESS: ClassVar[Address] = Address(0x03, 0x31)
-
 
 @dataclass(frozen=True, slots=True)
-class FollowPauseResume(PauseResume):
+class FollowPauseResume(PauseResume, address=(0x03, 0x32)):
     """0x03/0x32, pause (0) or resume (1) following."""
 
-    ADDRESS: ClassVar[Address] = Address(0x03, 0x32)
-
 
 @dataclass(frozen=True, slots=True)
-class FollowTarget(Laid, Unconfirmed):
+class FollowTarget(Laid, Unconfirmed, address=(0x03, 0x33)):
     """0x03/0x33, where the target is; once to ten times a second.
 
     Attributes:
@@ -253,7 +220,6 @@ class FollowTarget(Laid, Unconfirmed):
         angle: 0, reserved.
     """
 
-    ADDRESS: ClassVar[Address] = Address(0x03, 0x33)
     LAYOUT: ClassVar[Layout] = Layout(*_TARGET)
 
     latitude: float

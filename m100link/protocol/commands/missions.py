@@ -13,7 +13,6 @@ from m100link.errors import BadAck
 from m100link.protocol.codes import AckCode, MissionCode, SystemCode
 from m100link.protocol.command import (
     Acknowledged,
-    Address,
     Command,
     Movement,
     Notification,
@@ -285,12 +284,11 @@ EVENTS = (Uploaded, Finished, Reached)  # what a waypoint mission may tell, by i
 _PUSH_SIZE = 6
 
 
-class _KindPush(Notification):
+class _KindPush(Notification, since=Generation.V3_1):
     """A push whose first byte is the kind of what it tells."""
 
     __slots__ = ()
 
-    SINCE: ClassVar[Generation] = Generation.V3_1
     KINDS: ClassVar[tuple[type[_Reported], ...]]
 
     @property
@@ -335,7 +333,7 @@ class _KindPush(Notification):
 
 
 @dataclass(frozen=True, slots=True)
-class MissionStatus(_KindPush):
+class MissionStatus(_KindPush, address=(0x02, 0x03)):
     """0x02/0x03, which mission runs and how far it is; about ten times a second.
 
     The box "Ground Station Status" has to be ticked in the PC assistant.
@@ -345,21 +343,19 @@ class MissionStatus(_KindPush):
             4 IOC.
     """
 
-    ADDRESS: ClassVar[Address] = Address(0x02, 0x03)
     KINDS: ClassVar[tuple[type[_Reported], ...]] = STATUSES
 
     status: Status
 
 
 @dataclass(frozen=True, slots=True)
-class WaypointEvent(_KindPush):
+class WaypointEvent(_KindPush, address=(0x02, 0x04)):
     """0x02/0x04, a step of a waypoint mission, sent once.
 
     Attributes:
         event: The event, by its kind: 0 uploaded, 1 finished, 2 reached.
     """
 
-    ADDRESS: ClassVar[Address] = Address(0x02, 0x04)
     KINDS: ClassVar[tuple[type[_Reported], ...]] = EVENTS
 
     event: Event
@@ -383,14 +379,10 @@ R = TypeVar("R", bound=Record)
 _SYSTEM_CODES = frozenset(map(int, SystemCode))
 
 
-class _MissionCommand(Command):
+class _MissionCommand(Command, level=2, encrypted=True, since=Generation.V3_1):
     """Base of all commands of the set."""
 
     __slots__ = ()
-
-    LEVEL: ClassVar[int] = 2
-    ENCRYPTED: ClassVar[bool] = True
-    SINCE: ClassVar[Generation] = Generation.V3_1
 
 
 class Answer(Record):

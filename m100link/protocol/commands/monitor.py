@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
-from m100link.protocol.command import Address, Notification
+from m100link.protocol.command import Notification
 from m100link.protocol.commands.activation import MobileData
 from m100link.protocol.fields import Laid, Layout, Number
 from m100link.protocol.firmware import FirmwareProfile
@@ -15,11 +15,8 @@ AUTHORITY_LOST = 0x04  # the fixed value of the authority notification
 
 
 @dataclass(frozen=True, slots=True)
-class PushTelemetry(Notification):
+class PushTelemetry(Notification, address=(0x02, 0x00), name="telemetry"):
     """0x02/0x00, the telemetry package."""
-
-    ADDRESS: ClassVar[Address] = Address(0x02, 0x00)
-    NAME: ClassVar[str] = "telemetry"
 
     packet: TelemetryPacket
 
@@ -38,13 +35,12 @@ class PushTelemetry(Notification):
 
 
 @dataclass(frozen=True, slots=True)
-class AuthorityChanged(Laid, Notification):
+class AuthorityChanged(Laid, Notification, address=(0x02, 0x01)):
     """0x02/0x01, control authority passed away from the onboard device.
 
     Sent once, on session 0 or on a session that wants an ack (errata 30).
     """
 
-    ADDRESS: ClassVar[Address] = Address(0x02, 0x01)
     LAYOUT: ClassVar[Layout] = Layout(Number("code"))
 
     code: int = AUTHORITY_LOST  # the document fixes it to 4
@@ -56,7 +52,5 @@ class AuthorityChanged(Laid, Notification):
 
 
 @dataclass(frozen=True, slots=True)
-class FromMobile(MobileData, Notification):
+class FromMobile(MobileData, Notification, address=(0x02, 0x02)):
     """0x02/0x02, transparent data from the mobile device, 1 to 100 bytes, about 1 kB/s."""
-
-    ADDRESS: ClassVar[Address] = Address(0x02, 0x02)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from struct import Struct
 from typing import Any, ClassVar, Self
 
-from m100link.protocol.command import Address, Movement, Problem, Push, exactly, in_range
+from m100link.protocol.command import Movement, Problem, Push, exactly, in_range
 from m100link.protocol.fields import Laid, Layout, Number
 from m100link.protocol.firmware import FirmwareProfile, Generation
 
@@ -23,7 +23,7 @@ _DATA = Struct("<16I")
 
 
 @dataclass(frozen=True, slots=True)
-class VirtualRcSettings(Movement):
+class VirtualRcSettings(Movement, address=(0x05, 0x00), encrypted=True, since=Generation.V3_1):
     """0x05/0x00, switch the virtual remote control on or off; at most every two seconds.
 
     DJI's header warns that more often locks the aircraft in a loop of checks in which even the mode
@@ -35,10 +35,6 @@ class VirtualRcSettings(Movement):
             aircraft behaves as if the remote control were lost.
         rest: Bits 2 to 7 as another program sent them; they have no meaning.
     """
-
-    ADDRESS: ClassVar[Address] = Address(0x05, 0x00)
-    ENCRYPTED: ClassVar[bool] = True
-    SINCE: ClassVar[Generation] = Generation.V3_1
 
     is_on: bool
     falls_back: bool = True
@@ -78,17 +74,13 @@ class VirtualRcSettings(Movement):
 
 
 @dataclass(frozen=True, slots=True)
-class VirtualRcData(Movement):
+class VirtualRcData(Movement, address=(0x05, 0x01), encrypted=True, since=Generation.V3_1):
     """0x05/0x01, sticks and switches, 2 to 25 times a second; a second without them ends it.
 
     Attributes:
         channels: 16 values of 1024 ± 660, the first seven as :data:`CHANNELS` names them. Gear is
             1684 up and 1324 down; mode is 1552 for P, 1024 for A, 496 for F.
     """
-
-    ADDRESS: ClassVar[Address] = Address(0x05, 0x01)
-    ENCRYPTED: ClassVar[bool] = True
-    SINCE: ClassVar[Generation] = Generation.V3_1
 
     channels: tuple[int, ...]
 
@@ -134,7 +126,7 @@ _WITH_TAG = 6
 
 
 @dataclass(frozen=True, slots=True)
-class Sync(Laid, Push):
+class Sync(Laid, Push, address=(0x04, 0x00), encrypted=True, since=Generation.V3_1):
     """0x04/0x00, pulses of a frequency; a Matrice 100 ignores it.
 
     Attributes:
@@ -142,9 +134,6 @@ class Sync(Laid, Push):
         tag: Two more bytes that DJI's libraries from 3.3 on send; None without them.
     """
 
-    ADDRESS: ClassVar[Address] = Address(0x04, 0x00)
-    ENCRYPTED: ClassVar[bool] = True
-    SINCE: ClassVar[Generation] = Generation.V3_1
     LAYOUT: ClassVar[Layout] = Layout(Number("frequency", "I"))
 
     frequency: int

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
 from m100link.protocol.codes import MissionCode
-from m100link.protocol.command import Address, Problem
+from m100link.protocol.command import Problem
 from m100link.protocol.commands.missions import (
     Answer,
     AnyByte,
@@ -35,7 +35,7 @@ _LARGEST_SPEED = 15.0
 
 
 @dataclass(frozen=True, slots=True)
-class WaypointMission(Laid, MissionRequest[MissionCode]):
+class WaypointMission(Laid, MissionRequest[MissionCode], address=(0x03, 0x10)):
     """0x03/0x10, begin the upload of a waypoint mission.
 
     Attributes:
@@ -53,7 +53,6 @@ class WaypointMission(Laid, MissionRequest[MissionCode]):
             them.
     """
 
-    ADDRESS: ClassVar[Address] = Address(0x03, 0x10)
     LAYOUT: ClassVar[Layout] = Layout(
         Number("count", "B", 2, 99),
         Number("max_speed", "f", 2.0, _LARGEST_SPEED, "m/s"),
@@ -126,7 +125,7 @@ class WaypointPointAnswer(Answer):
 
 
 @dataclass(frozen=True, slots=True)
-class WaypointPoint(Laid, MissionRequest[WaypointPointAnswer]):
+class WaypointPoint(Laid, MissionRequest[WaypointPointAnswer], address=(0x03, 0x11)):
     """0x03/0x11, upload one waypoint. The ack of the last one tells of the whole mission.
 
     Attributes:
@@ -146,7 +145,6 @@ class WaypointPoint(Laid, MissionRequest[WaypointPointAnswer]):
         parameters: 16 numbers: milliseconds to stay, or degrees to turn or pitch to.
     """
 
-    ADDRESS: ClassVar[Address] = Address(0x03, 0x11)
     LAYOUT: ClassVar[Layout] = Layout(
         Number("index", "B", 0, 98),
         latitude(),
@@ -221,10 +219,9 @@ def _action(action: int, parameter: int) -> dict[str, Any]:
 
 
 @dataclass(frozen=True, slots=True)
-class WaypointStartStop(Laid, MissionRequest[MissionCode]):
+class WaypointStartStop(Laid, MissionRequest[MissionCode], address=(0x03, 0x12)):
     """0x03/0x12, start (0) or stop (1) the uploaded mission."""
 
-    ADDRESS: ClassVar[Address] = Address(0x03, 0x12)
     LAYOUT: ClassVar[Layout] = Layout(Number("stop", words=("start", "stop")))
 
     stop: int
@@ -236,10 +233,8 @@ class WaypointStartStop(Laid, MissionRequest[MissionCode]):
 
 
 @dataclass(frozen=True, slots=True)
-class WaypointPauseResume(PauseResume):
+class WaypointPauseResume(PauseResume, address=(0x03, 0x13)):
     """0x03/0x13, pause (0) or resume (1) the mission."""
-
-    ADDRESS: ClassVar[Address] = Address(0x03, 0x13)
 
 
 @dataclass(frozen=True, slots=True)
@@ -256,10 +251,8 @@ class WaypointMissionAnswer(DownloadAnswer[WaypointMission]):
 
 
 @dataclass(frozen=True, slots=True)
-class WaypointDownloadMission(AnyByte, MissionRequest[WaypointMissionAnswer]):
+class WaypointDownloadMission(AnyByte, MissionRequest[WaypointMissionAnswer], address=(0x03, 0x14)):
     """0x03/0x14, ask for the mission that the aircraft has; its count is 0 when it has ended."""
-
-    ADDRESS: ClassVar[Address] = Address(0x03, 0x14)
 
 
 @dataclass(frozen=True, slots=True)
@@ -276,10 +269,9 @@ class WaypointDownloadedPoint(DownloadAnswer[WaypointPoint]):
 
 
 @dataclass(frozen=True, slots=True)
-class WaypointDownloadPoint(Laid, MissionRequest[WaypointDownloadedPoint]):
+class WaypointDownloadPoint(Laid, MissionRequest[WaypointDownloadedPoint], address=(0x03, 0x15)):
     """0x03/0x15, ask for one waypoint of the mission that the aircraft has."""
 
-    ADDRESS: ClassVar[Address] = Address(0x03, 0x15)
     LAYOUT: ClassVar[Layout] = Layout(Number("index", "B", 0, 98))
 
     index: int
@@ -304,26 +296,18 @@ class IdleSpeedAnswer(Answer):
 
 
 @dataclass(frozen=True, slots=True)
-class WaypointSetIdleSpeed(Laid, MissionRequest[IdleSpeedAnswer]):
+class WaypointSetIdleSpeed(Laid, MissionRequest[IdleSpeedAnswer], address=(0x03, 0x16), moves=True):
     """0x03/0x16, change the cruise while the mission runs.
 
     Attributes:
         idle_speed: -15 to 15 m/s; below 0 the route is flown backwards.
     """
 
-    ADDRESS: ClassVar[Address] = Address(0x03, 0x16)
     LAYOUT: ClassVar[Layout] = _IDLE_SPEED
 
     idle_speed: float
 
-    @property
-    def sets_in_motion(self) -> bool:
-        """An aircraft that stands begins to fly."""
-        return True
-
 
 @dataclass(frozen=True, slots=True)
-class WaypointGetIdleSpeed(AnyByte, MissionRequest[IdleSpeedAnswer]):
+class WaypointGetIdleSpeed(AnyByte, MissionRequest[IdleSpeedAnswer], address=(0x03, 0x17)):
     """0x03/0x17, ask for the cruise."""
-
-    ADDRESS: ClassVar[Address] = Address(0x03, 0x17)
