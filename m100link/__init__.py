@@ -51,15 +51,7 @@ if TYPE_CHECKING:
     )
     from m100link.aircraft import activation as activation
     from m100link.aircraft.activation import ActivationProgress
-    from m100link.aircraft.supervising import (
-        BackOff,
-        Gap,
-        Supervised,
-        SupervisedTelemetry,
-        SupervisionEvent,
-        SupervisionState,
-        supervise,
-    )
+    from m100link.aircraft.supervising import *
     from m100link.apps import doctor as doctor
     from m100link.apps import fleet as fleet
     from m100link.errors.aircraft import *
@@ -71,27 +63,8 @@ if TYPE_CHECKING:
     from m100link.flight.guards import Envelope, Guards
     from m100link.flight.guidance import Arrival, GuidanceProgress
     from m100link.flight.mission_state import MissionKind, MissionState
-    from m100link.flight.missions.events import (
-        Aborted,
-        ActionsDone,
-        Finished,
-        MissionEvent,
-        MissionProgress,
-        Paused,
-        Reached,
-        Resumed,
-        Started,
-        Stopped,
-        Uploaded,
-        Uploading,
-    )
-    from m100link.flight.missions.hotpoint import (
-        CircleHeading,
-        CircleStart,
-        FollowFlight,
-        HotpointFlight,
-        Target,
-    )
+    from m100link.flight.missions.events import *
+    from m100link.flight.missions.hotpoint import *
     from m100link.flight.missions.mission_guard import MissionFlight
     from m100link.flight.missions.waypoint import WaypointFlight
     from m100link.flight.pacing import Tick, Ticker
