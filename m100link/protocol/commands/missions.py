@@ -41,6 +41,13 @@ class _Reported(Record):
     KIND: ClassVar[int]
     WORD: ClassVar[str]  # the kind in a word
 
+    def __init_subclass__(cls, *, kind: int | None = None, word: str = "") -> None:
+        super().__init_subclass__()
+        if kind is not None:
+            cls.KIND = kind
+        if word:  # a dataclass with slots is made a second time, without them
+            cls.WORD = word
+
     @property
     def kind(self) -> int:
         """The first byte."""
@@ -48,15 +55,13 @@ class _Reported(Record):
 
 
 @dataclass(frozen=True, slots=True)
-class OtherKind(_Reported):
+class OtherKind(_Reported, word="unknown"):
     """A kind that no source lists.
 
     Attributes:
         first: The first byte.
         data: The bytes behind it.
     """
-
-    WORD: ClassVar[str] = "unknown"
 
     first: int
     data: bytes
@@ -111,7 +116,7 @@ class _LastMission(_Reported):
 
 
 @dataclass(frozen=True, slots=True)
-class IdleStatus(_LastMission):
+class IdleStatus(_LastMission, kind=0, word="none"):
     """Kind 0: no mission runs.
 
     Attributes:
@@ -120,20 +125,14 @@ class IdleStatus(_LastMission):
         reason: Why, a :class:`~m100link.protocol.MissionCode`.
     """
 
-    KIND: ClassVar[int] = 0
-    WORD: ClassVar[str] = "none"
-
 
 @dataclass(frozen=True, slots=True)
-class IocStatus(_LastMission):
+class IocStatus(_LastMission, kind=4, word="ioc"):
     """Kind 4: intelligent orientation control is on; fields as in :class:`IdleStatus`."""
 
-    KIND: ClassVar[int] = 4
-    WORD: ClassVar[str] = "ioc"
-
 
 @dataclass(frozen=True, slots=True)
-class WaypointStatus(_Reported):
+class WaypointStatus(_Reported, kind=1, word="waypoint"):
     """Kind 1: a waypoint mission.
 
     Attributes:
@@ -143,8 +142,6 @@ class WaypointStatus(_Reported):
         error: A :class:`~m100link.protocol.MissionCode`.
     """
 
-    KIND: ClassVar[int] = 1
-    WORD: ClassVar[str] = "waypoint"
     LAYOUT: ClassVar[Layout] = Layout(
         Number("index"), Number("status"), Number("error"), Reserved(2)
     )
@@ -163,7 +160,7 @@ class WaypointStatus(_Reported):
 
 
 @dataclass(frozen=True, slots=True)
-class HotpointStatus(_Reported):
+class HotpointStatus(_Reported, kind=2, word="hotpoint"):
     """Kind 2: a hotpoint.
 
     Attributes:
@@ -173,8 +170,6 @@ class HotpointStatus(_Reported):
         rate: Present rate in tenths of a degree per second, 25.5 °/s at most.
     """
 
-    KIND: ClassVar[int] = 2
-    WORD: ClassVar[str] = "hotpoint"
     LAYOUT: ClassVar[Layout] = Layout(
         Number("status"),
         Number("radius_cm", "H", unit="cm"),
@@ -196,11 +191,9 @@ class HotpointStatus(_Reported):
 
 
 @dataclass(frozen=True, slots=True)
-class FollowStatus(_Reported):
+class FollowStatus(_Reported, kind=3, word="follow"):
     """Kind 3: following a target; the push has no further fields."""
 
-    KIND: ClassVar[int] = 3
-    WORD: ClassVar[str] = "follow"
     LAYOUT: ClassVar[Layout] = Layout(Reserved(5))
 
 
@@ -221,7 +214,7 @@ def _word(words: tuple[str, ...], number: int) -> str | int:
 
 
 @dataclass(frozen=True, slots=True)
-class Uploaded(_Reported):
+class Uploaded(_Reported, kind=0, word="uploaded"):
     """Kind 0: all waypoints have come and were checked together.
 
     Attributes:
@@ -229,8 +222,6 @@ class Uploaded(_Reported):
         estimated_time: Seconds that it will take.
     """
 
-    KIND: ClassVar[int] = 0
-    WORD: ClassVar[str] = "uploaded"
     LAYOUT: ClassVar[Layout] = Layout(
         Number("valid"), Number("estimated_time", "H", unit="s"), Reserved(2)
     )
@@ -240,22 +231,20 @@ class Uploaded(_Reported):
 
 
 @dataclass(frozen=True, slots=True)
-class Finished(_Reported):
+class Finished(_Reported, kind=1, word="finished"):
     """Kind 1: the last waypoint was reached and its actions are done.
 
     Attributes:
         repeat: Runs still to come.
     """
 
-    KIND: ClassVar[int] = 1
-    WORD: ClassVar[str] = "finished"
     LAYOUT: ClassVar[Layout] = Layout(Number("repeat"), Reserved(4))
 
     repeat: int = 0
 
 
 @dataclass(frozen=True, slots=True)
-class Reached(_Reported):
+class Reached(_Reported, kind=2, word="reached"):
     """Kind 2: a waypoint was reached.
 
     Attributes:
@@ -263,8 +252,6 @@ class Reached(_Reported):
         status: 4 before its actions, 6 after them.
     """
 
-    KIND: ClassVar[int] = 2
-    WORD: ClassVar[str] = "reached"
     LAYOUT: ClassVar[Layout] = Layout(Number("index"), Number("status"), Reserved(3))
 
     index: int
