@@ -235,9 +235,11 @@ class _NoteReader:
     def read(self, note: dict[str, Any]) -> Iterator[tuple[str, str, str]]:
         """Kind, actor and text; none for a note that adds nothing."""
         reader = self._readers.get(note["event"])
-        who, text = reader(note) if reader is not None else ("", "")
+        if reader is None:
+            return
+        who, text = reader(note)
         if text:
-            kind = note["event"]
+            kind: str = note["event"]
             yield {"connection": "line", "state": "limits"}.get(kind, kind), who, text
 
     def _client(self, note: dict[str, Any]) -> tuple[str, str]:

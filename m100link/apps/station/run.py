@@ -247,6 +247,8 @@ def front_settings(settings: Settings) -> dict[str, Any]:
         if one.name not in _NOT_FOR_FRONTS
     }
     given["token"] = settings.access_token()
+    if not (settings.mavlink or settings.mavlink_to):  # they alone give logs away
+        given["record"] = None
     return _as_json(given)
 
 

@@ -12,7 +12,7 @@ import os
 import signal
 from collections.abc import AsyncIterator, Callable
 from contextlib import AsyncExitStack, asynccontextmanager
-from dataclasses import asdict, fields
+from dataclasses import asdict, fields, replace
 from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
@@ -247,6 +247,8 @@ def test_each_process_gets_what_it_needs_and_no_secret_of_the_other(tmp_path: Pa
     assert named - AGENTS - {"token_file", "origins", "unused"} >= front.keys() - AGENTS
     assert front.keys() >= {"port", "console_port", "max_clients", "front_niceness", "sysid"}
     assert "tiles" not in front
+    mavlink = run.front_settings(replace(settings, mavlink_to=("udp://127.0.0.1:14550",)))
+    assert mavlink["record"] == str(tmp_path), "MAVLink programs fetch logs"
 
 
 class Child:
