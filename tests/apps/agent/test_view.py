@@ -522,4 +522,4 @@ def test_no_front_has_an_age_of_its_own() -> None:
             if is_read and (has_age or place.parts[0] not in WITHOUT_AN_AGENT):
                 found.append(str(place))
     # The second one reads files: what was known at a moment of a recorded flight.
-    assert found == ["agent/client.py", "station/console/kept.py"]
+    assert list(dict.fromkeys(found)) == ["agent/client.py", "station/console/kept.py"]

@@ -19,17 +19,17 @@ from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
 from m100link.errors import M100Error
-from m100link.log.channels import Curve
-from m100link.log.reading import Message, read
+from m100link.log.channels import TELEMETRY, Curve
+from m100link.log.reading import FlightLog, Message, read
 from m100link.log.story import Curves, FlightPath, FlightSummary, read_move, read_story
 from m100link.protocol.firmware import FIRMWARE_1_0, PROFILES
 from m100link.protocol.items import ITEMS
-from m100link.protocol.records import Attitude, Position
+from m100link.protocol.records import Attitude, FlightPhase, FlightStatus, Position
 from m100link.protocol.setpoint import Horizontal, ReferenceFrame, Vertical, Yaw
 from m100link.telemetry.columns import columns_of
 from m100link.telemetry.integrity import has_fix
 from m100link.telemetry.sample import Sample
-from m100link.telemetry.state import AircraftState
+from m100link.telemetry.state import FRESH_S, AircraftState
 
 if TYPE_CHECKING:  # the process that reads a file needs none of it
     from m100link.apps.agent.client import AgentClient, VehicleView
@@ -57,11 +57,11 @@ _READERS = [
 ]
 
 
-def _numbers(telemetry: AircraftState | None, now: float) -> Iterator[Any]:
-    """A value for each column of telemetry; None for what is old at that time, s."""
+def _numbers(newest: Callable[[type[Any]], Any]) -> Iterator[Any]:
+    """A value for each column of telemetry; None where no record is new."""
     for record, readers in _READERS:
         # Of what has a NaN the other numbers are drawn all the same.
-        found = None if telemetry is None else telemetry.fresh(record, now=now)
+        found = newest(record)
         for read_one in readers:
             yield None if found is None else read_one(found)
 
@@ -126,7 +126,10 @@ class PlotHistory:
 
     def _row(self, view: VehicleView) -> Iterator[Any]:
         telemetry, state = view.telemetry, view.state
-        yield from _numbers(telemetry if view.is_connected else None, view.now)
+        if telemetry is not None and view.is_connected:
+            yield from _numbers(lambda record: telemetry.fresh(record, now=view.now))
+        else:
+            yield from _numbers(lambda _: None)
         if telemetry is None or view.is_gone:
             yield from [None] * (len(LINE_COLUMNS) - 1)
         else:
@@ -197,7 +200,7 @@ COMMANDED = {
 
 INTERVAL_S, LONG_INTERVAL_S = 0.2, 1.0  # between packages that are looked into
 LARGE = 100_000_000  # bytes of a file, about an hour and a half, from which on it is the longer one
-FIRST_S = 30.0  # of a flight after which a page has the first part
+OUTLINED = 20_000_000  # bytes of a file, a second of reading, from which on it is outlined first
 MOST_ROWS = 10_000  # of a recorded flight: with more, every second one is dropped
 _FLOWN_FOR_S = 0.5  # after a setpoint nothing is commanded any more
 _HOLE_S = 2.0
@@ -211,7 +214,7 @@ class Recorded:
     story: FlightSummary  # phases, alarms, commands, track
     times: array[float]  # of the rows
     columns: Mapping[str, array[float]]  # their values; NaN where there was none
-    is_whole: bool = True  # else the file is still being read: all that comes later is missing
+    is_whole: bool = True  # else the file is still being read: alarms and commands are missing
 
     def at(self, utc: float) -> float:
         """The time of the log at a POSIX time of the flight, s."""
@@ -253,12 +256,12 @@ class _Rows:
             last = self.times[-1] if self.times else -math.inf
             if at - last >= 0.999 * self.interval:
                 if at - last > _HOLE_S and self.times:
-                    self._add(last + _HOLE_S / 2, (None,) * (len(COLUMNS) + len(COMMANDED)))
+                    self.add(last + _HOLE_S / 2, (None,) * (len(COLUMNS) + len(COMMANDED)))
                 commanded = self._commanded if at - self._commanded_at <= _FLOWN_FOR_S else {}
-                self._add(
+                self.add(
                     at,
                     (
-                        *_numbers(self._state, one.received_at),
+                        *_numbers(lambda record: self._state.fresh(record, now=one.received_at)),
                         *(None for _ in LINE_COLUMNS),
                         *map(commanded.get, COMMANDED.values()),
                     ),
@@ -266,7 +269,7 @@ class _Rows:
         else:
             self._commanded_at, self._commanded = at, self._read(one)
 
-    def _add(self, at: float, row: tuple[float | None, ...]) -> None:
+    def add(self, at: float, row: tuple[float | None, ...]) -> None:
         self.times.append(at)
         self._rows.append(row)
         if len(self.times) > MOST_ROWS:
@@ -320,33 +323,60 @@ class _Rows:
 
 
 def analyse(
-    path: str, firmware: str, on_part: Callable[[Recorded], None] = lambda _: None
+    path: str, firmware: str, on_outline: Callable[[Recorded], None] = lambda _: None
 ) -> Recorded | str:
     """Read a file, or return why it cannot be read.
 
-    ``firmware``: name of the profile, or empty. ``on_part`` gets what is read: after half a
-    minute of flight, and each time that it is twice as much.
+    ``firmware``: name of the profile, or empty. ``on_outline`` gets the flight of a large file
+    without alarms and commands, after a third of the time.
     """
-    rows, due_s = _Rows(firmware), FIRST_S
-
-    def hear(story: FlightSummary, at: float, one: Sample | Message) -> None:
-        nonlocal due_s
-        rows.hear(at, one)
-        if at >= due_s:
-            due_s = 2.0 * at
-            story.duration_s = max(story.duration_s, at)
-            on_part(Recorded(story, rows.times, rows.columns(story.curves), is_whole=False))
-
+    rows = _Rows(firmware)
     try:
         flight = read(path)
-        interval_s = LONG_INTERVAL_S * flight.path.stat().st_size / LARGE
-        interval_s = min(max(INTERVAL_S, interval_s), LONG_INTERVAL_S)
-        story = read_story(flight, firmware=firmware or None, interval_s=interval_s, listener=hear)
+        size = flight.path.stat().st_size
+        interval_s = min(max(INTERVAL_S, LONG_INTERVAL_S * size / LARGE), LONG_INTERVAL_S)
+        if size > OUTLINED:
+            with suppress(M100Error, TypeError, ValueError):  # of another writer, or damaged
+                on_outline(_outline(flight, interval_s))
+        story = read_story(
+            flight,
+            firmware=firmware or None,
+            interval_s=interval_s,
+            listener=lambda _, at, one: rows.hear(at, one),
+        )
     except M100Error as error:
         return error.seen
     except OSError as error:
         return f"{path} cannot be read: {error.strerror}"
     return Recorded(story, rows.times, rows.columns(story.curves))
+
+
+def _outline(flight: FlightLog, interval_s: float) -> Recorded:
+    """The track and the rows by the telemetry that a log has as JSON beside the bytes."""
+    story, rows, due_s = FlightSummary(flight.path.name), _Rows(""), -math.inf
+    first = next(flight.messages(), Message("", 0.0, 0.0, b""))
+    story.began_utc = first.utc
+    newest: dict[type[Any], tuple[float, Any]] = {}
+    for message in flight.messages(TELEMETRY):
+        at = message.at - first.at
+        if at < due_s and b'"battery.' not in message.data:  # once a second, and in few rows
+            continue
+        row = {name: math.nan if one is None else one for name, one in message.content().items()}
+        for item in ITEMS:
+            names = [f"{item.name}.{name}" for name in item.fields]
+            if names[0] in row:
+                more = [getattr(FIRMWARE_1_0, name) for name in item.profile_fields]
+                newest[item.record] = at, item.record(*map(row.get, names), *more)
+        if at < due_s:
+            continue
+        due_s = story.duration_s = at + 0.999 * interval_s
+        new = {one: found for one, (heard, found) in newest.items() if at - heard <= FRESH_S[one]}
+        rows.add(at, (*_numbers(new.get), *[None] * (len(LINE_COLUMNS) + len(COMMANDED))))
+        if (status := new.get(FlightStatus)) is not None:
+            story.path.hear_phase(at, is_off_ground=status.phase is not FlightPhase.STANDBY)
+        if (position := new.get(Position)) is not None and has_fix(position):
+            story.path.add(at, position)
+    return Recorded(story, rows.times, rows.columns(story.curves), is_whole=False)
 
 
 _CHILD = (
@@ -364,7 +394,7 @@ def send(found: Recorded | str) -> None:
 
 
 async def analysed(path: str, firmware: str) -> AsyncIterator[Recorded | str]:
-    """The same by a process of its own, which ends with the iterator: parts, then the whole."""
+    """The same by a process of its own, which ends with the iterator: outline, then the whole."""
     process = await asyncio.create_subprocess_exec(
         *(sys.executable, "-c", _CHILD, path, firmware),
         stdin=asyncio.subprocess.DEVNULL,

@@ -210,12 +210,11 @@ class Page:
         is_compared = context.memory.compared in context.tabs.agents
         other = context.history_of(context.memory.compared).recorded if is_compared else None
         utc = replay.utc + self._agent.view.now - replay.clock
-        share = recorded.story.duration_s / max(replay.duration_s, 1.0)
         return RecordedFlight(
             recorded.story,
             recorded.at(utc),
             None if other is None else other.story,
-            1.0 if recorded.is_whole else min(share, 0.99),
+            is_whole=recorded.is_whole,
         )
 
     def _view(self) -> ViewModel:

@@ -233,10 +233,8 @@ def replay_of(
     after = min((one for one in begins if one > 0.05), default=None)
     when = time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime(source.utc))
     note = tr("replay.at_end") if source.is_at_end else None
-    share = 0.0 if flight is None else flight.read
-    if fault or share < 1.0:
-        percent = int(100.0 * share)
-        note = tr("replay.unread", why=fault) if fault else tr("replay.reading", percent=percent)
+    if fault or flight is None or not flight.is_whole:
+        note = tr("replay.unread", why=fault) if fault else tr("replay.reading")
     if source.is_at_end and source.is_cut_off:
         note = tr("replay.written" if source.is_written else "replay.cut_off")
     return ReplayView(

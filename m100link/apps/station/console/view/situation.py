@@ -183,7 +183,7 @@ class RecordedFlight:
     story: FlightSummary
     at: float  # s after the beginning of the log
     other: FlightSummary | None = None  # another flight that is laid over it
-    read: float = 1.0  # the share of the file that is in the story, 0 to 1
+    is_whole: bool = True  # else alarms and commands are not in the story yet
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -359,19 +359,22 @@ TOLD = Replay(
 
 
 READ = RecordedFlight(FlightSummary("flight.mcap"), 65.0)
+OUTLINE = replace(READ, is_whole=False)
 
 
 @pytest.mark.parametrize(
-    ("share", "fault", "note"),
+    ("flight", "fault", "note"),
     [
-        (None, "", "the file is being read: 0 %"),
-        (0.32, "", "the file is being read: 32 %"),
+        (None, "", "the file is being read: its alarms and commands follow"),
+        (OUTLINE, "", "the file is being read: its alarms and commands follow"),
         (None, "no MCAP", "the file cannot be read: no MCAP"),
-        (0.64, "it ended with 7", "the file cannot be read: it ended with 7"),
+        (OUTLINE, "it ended with 7", "the file cannot be read: it ended with 7"),
     ],
 )
-def test_how_far_a_file_was_read_is_said(share: float | None, fault: str, note: str) -> None:
-    shown = replay_of(TOLD, None if share is None else replace(READ, read=share), fault)
+def test_how_far_a_file_was_read_is_said(
+    flight: RecordedFlight | None, fault: str, note: str
+) -> None:
+    shown = replay_of(TOLD, flight, fault)
     assert shown is not None
     assert shown.note is not None
     assert SAY(shown.note) == note
