@@ -187,7 +187,7 @@ _Known = tuple[Cipher | None, FirmwareProfile | None, AccelerationMode | None]
 
 
 @dataclass
-class _Batch:
+class Batch:
     """The events of the loop since the last batch, and the link's state at that time."""
 
     chunks: list[tuple[Direction, bytes, float]] = field(default_factory=list)
@@ -229,29 +229,25 @@ class Recorder:
     def __init__(self, path: str | os.PathLike[str], *, rate_hz: float = 10.0) -> None:
         if not 0 <= rate_hz < math.inf:
             raise UsageError(f"{rate_hz} Hz is not a rate", remedy="0 for every package")
-        writer = mcap_module("writer").Writer
+        mcap_module("writer")  # before there is a file
         self.path, stream = _new_file(read_path(path))
+        self.failure: Exception | None = None
         self.dropped = 0
         self._loop: asyncio.AbstractEventLoop | None = None
         self._look: Callable[[], Iterable[Entry]] = tuple
         self._known: Callable[[], _Known] = _nothing
-        self._batch = _Batch()
+        self._batch = Batch()
         self._timer: asyncio.TimerHandle | None = None
         self._is_taken = False  # by a connection
         self._is_ended = False
         self._alive_at = time.monotonic()  # when the thread last came back from the disk
         # Bytes of memory, each counted by one side alone: loop, thread.
         self._given = self._taken = 0
-        self._queue: queue.SimpleQueue[_Batch | None] = queue.SimpleQueue()
-        self._scribe = _Scribe(writer, stream, self.path, rate_hz)
+        self._queue: queue.SimpleQueue[Batch | None] = queue.SimpleQueue()
+        self._log = LogWriter(stream, rate_hz)
         self._thread = threading.Thread(target=self._write, name=f"log {self.path}", daemon=True)
         self._thread.start()
         atexit.register(self._end)
-
-    @property
-    def failure(self) -> Exception | None:
-        """Why recording ended before the connection did."""
-        return self._scribe.failure
 
     # -- on the event loop -------------------------------------------------------------------------
 
@@ -275,7 +271,7 @@ class Recorder:
             return
         if self._timer is None:
             self._loop = asyncio.get_running_loop()
-            self._scribe.utc_offset_s = time.time() - now
+            self._log.utc_offset_s = time.time() - now
             self._timer = self._loop.call_later(BATCH_S, self._tick)
         self._batch.chunks.append((direction, data, now))
 
@@ -325,8 +321,8 @@ class Recorder:
         self._hand_over()
 
     def _hand_over(self) -> None:
-        batch, self._batch = self._batch, _Batch()
-        if self._scribe.failure is not None:
+        batch, self._batch = self._batch, Batch()
+        if self.failure is not None:
             return
         try:
             if self._loop is not None:
@@ -351,31 +347,34 @@ class Recorder:
     # -- in the thread ----------------------------------------------------------------------------
 
     def _write(self) -> None:
-        scribe, pending = self._scribe, self._queue
+        log, pending = self._log, self._queue
         try:
             while True:
                 self._alive_at = time.monotonic()
                 try:
                     batch = pending.get(timeout=FLUSH_S)
                 except queue.Empty:
-                    scribe.flush()
+                    log.flush()
                     continue
                 if batch is None:
                     self._alive_at = time.monotonic()
                     break
-                scribe.write(batch)
+                log.write(batch)
                 self._taken += batch.size
-                scribe.flush_in_time()
-            scribe.finish()
+                log.flush_in_time()
+            if log.finish():
+                log.sync()
+            else:  # the port could not even be opened: nothing is left behind
+                self.path.unlink()
         except Exception as error:  # noqa: BLE001 - whatever it is ends the log and nothing else
-            scribe.failure = error
+            self.failure = error
             _logger.warning(
                 "%s: recording ended, the flight goes on: %s; what was written can be read, and "
                 "mended by: m100link log recover",
                 self.path,
                 error,
             )
-            scribe.close()
+        log.close()
 
     def _end(self) -> None:
         """The interpreter ends and nobody closed: write the notes."""
@@ -439,19 +438,25 @@ def _new_file(place: Path) -> tuple[Path, IO[bytes]]:
     )
 
 
-class _Scribe:
-    """Makes messages of batches. Runs in the thread of the recorder alone."""
+class LogWriter:
+    """Makes a file of batches: of a recorder, in its thread alone, or of a log that is copied.
 
-    def __init__(self, writer: type[Writer], stream: IO[bytes], path: Path, rate_hz: float) -> None:
-        # The difference of POSIX time and the event loop's, taken once: a wall clock that is set in
-        # flight must not bend the log.
+    Args:
+        stream: The file. It is not closed but by :meth:`close`.
+        rate_hz: As for a recorder.
+
+    Attributes:
+        utc_offset_s: POSIX time less the time of the event loop, s. It is set once: a wall clock
+            that is set in flight must not bend the log.
+    """
+
+    def __init__(self, stream: IO[bytes], rate_hz: float) -> None:
         self.utc_offset_s = 0.0
-        self.failure: Exception | None = None
         self._stream = stream
-        self._path = path
         self._redaction = Redaction()
         self._witness = FrameInterpreter(rate_hz)
         # Not all of it is typed. Its checksum of the whole covers what stands outside of parts.
+        writer: type[Writer] = mcap_module("writer").Writer
         self._writer: Any = writer(stream, chunk_size=PART_SIZE, enable_data_crcs=True)
         self._channels: dict[str, int] = {}
         self._sequences: dict[str, int] = {}
@@ -460,7 +465,8 @@ class _Scribe:
         self._flushed_at = self._synced_at = time.monotonic()
         self._is_begun = False
 
-    def write(self, batch: _Batch) -> None:
+    def write(self, batch: Batch) -> None:
+        """Add what was heard since the batch before."""
         if not self._is_begun:
             if not (batch.chunks or batch.entries):
                 return
@@ -491,35 +497,39 @@ class _Scribe:
             self._json(topic, {**content, **extra}, now)
 
     def flush_in_time(self) -> None:
+        """Flush, if it is due."""
         now = time.monotonic()
         if now - self._flushed_at >= FLUSH_S:
             self.flush()
 
     def flush(self) -> None:
+        """Give all of it to the system, and to the disk, if that is due."""
         if not self._is_begun:
             return
         self._writer.flush()
-        now = self._flushed_at = time.monotonic()
-        if now - self._synced_at >= FSYNC_S:
-            os.fsync(self._stream.fileno())
-            self._synced_at = now
+        self._flushed_at = time.monotonic()
+        if self._flushed_at - self._synced_at >= FSYNC_S:
+            self.sync()
 
-    def finish(self) -> None:
-        if not self._is_begun:  # the port could not even be opened: nothing is left behind
-            self._stream.close()
-            self._path.unlink()
-            return
-        self._raw(Direction.RECEIVED, self._held, self._redaction.last)
-        self._writer.finish()
+    def sync(self) -> None:
+        """Wait until the disk has it."""
         self._stream.flush()
         os.fsync(self._stream.fileno())
-        self._stream.close()
+        self._synced_at = self._flushed_at
+
+    def finish(self) -> bool:
+        """End the file. Returns whether anything is in it."""
+        if self._is_begun:
+            self._raw(Direction.RECEIVED, self._held, self._redaction.last)
+            self._writer.finish()
+        return self._is_begun
 
     def close(self) -> None:
+        """Close the stream, whatever becomes of the rest."""
         try:
             self._stream.close()
         except OSError as error:  # it holds what the disk did not take
-            _logger.debug("%s: %s", self._path, error)
+            _logger.debug("the end of a log: %s", error)
 
     def _begin(self) -> None:
         self._is_begun = True

@@ -5,49 +5,85 @@ The copy is made anew from a list of content that may be in it. Anything else st
 
 from __future__ import annotations
 
-import os
 import re
 import struct
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
+from dataclasses import fields
 from typing import IO, Any
 
-from m100link.errors import LayoutMismatch
+from m100link.errors import LayoutMismatch, UsageError
 from m100link.geodesy import LocalFrame
 from m100link.link import Direction
+from m100link.link.statistics import LinkStatistics
 from m100link.log.channels import COMMAND, EVENT, LINK, Entry
 from m100link.log.reading import FlightLog, Message
-from m100link.log.recorder import _Batch, _Scribe
-from m100link.log.records import mcap_module
+from m100link.log.recorder import Batch, LogWriter
+from m100link.protocol import codes
 from m100link.protocol.commands.monitor import PushTelemetry
+from m100link.protocol.commands.registry import COMMANDS
 from m100link.protocol.firmware import PROFILES, FirmwareProfile, profile
 from m100link.protocol.items import BY_RECORD
-from m100link.protocol.packet import plan_of
+from m100link.protocol.packet import fitting_profiles, plan_of
 from m100link.protocol.records import AccelerationMode, Position
 from m100link.telemetry.integrity import has_fix
 from m100link.telemetry.sample import Sample
 from m100link.wire import encode_frame
+from m100link.wire.frame import Discard
 
 _TARGETS = ((0.0, -30.0), (0.0, 150.0))  # degrees, in two oceans: one is far from everywhere
 _FARTHEST_M = 30_000.0  # a place farther away would show how far the flight was moved
 _POSITION = BY_RECORD[Position].bit
-_WORD = re.compile(r"(?!.*\d{4})[A-Za-z0-9 _,:-]{0,80}")  # as the library writes them: no place
+_ERROR = re.compile(r"M100-[A-Z-]{1,40}")
+# All words that the library and its agent write into such fields. Whatever else stands there may be
+# a name: a host in the reason of a lost connection, or a place in a note of the user's program.
+_VOCABULARY = frozenset(
+    """none|obtaining|contested|held|taken|paused|resuming|lost|releasing|unreleased|
+    unknown|link|app|mode_switch|released|acquired|expired|taken over|its front has gone|
+    in force|nothing|setpoints|guided flight|program|mission|no mission|waypoint mission|
+    hotpoint|follow mission|IOC|asked|accepted|done|failed|refused|velocity|height|
+    thrust|tilt|position_offset|angle|rate|ground|body|take_off|go_home|acquire lease|
+    activate|ask take over|ask version|change of heading|change of height|confirm take over|
+    flight around a place|flight to a place|fly pattern|go home|hover|land|obtain|
+    order replay|pause mission|point gimbal|release|release lease|renew lease|
+    reset hotpoint heading|resume mission|send to mobile|set hotpoint radius|
+    set hotpoint rate|set mission speed|start hotpoint|start mission|start motors|stop|
+    stop mission|stop motors|take off|turn gimbal|upload plan|use camera|
+    a client with the lease asks for authority|the aircraft gave it|the aircraft refused it|
+    not activated, no answer, or another error|a client gives it back, or the lease has ended|
+    another client took the lease over|lost: the pilot left F|lost: nobody knows to whom|
+    lost: the app took it|the link is gone|the mode switch is not in F|the mode switch is in F|
+    the control block was left|the link was closed by this side|the connection ended""".replace(
+        "\n    ", ""
+    ).split("|")
+) | {"", *(f"simple task {number}" for number in range(7))}
+_ACKS = {
+    one.name
+    for kind in vars(codes).values()
+    if isinstance(kind, type) and issubclass(kind, codes.AckCode)
+    for one in kind
+}
+_COMMANDS = {kind.NAME for kind in COMMANDS.values()}
+_COUNTED = {one.value for one in Discard} | {"counts", "total_s"}
+_COUNTERS = {one.name for one in fields(LinkStatistics)} | {"log_dropped_bytes"}
 _WORDS = ("before", "after", "why", "reason", "task", "pattern", "guided", "mission", "flown")
 _SAID = ("order", "stage", "error", "horizontal", "vertical", "frame")
 _MOVES = ("control_flag", "roll_or_x", "pitch_or_y", "throttle_or_z", "x", "y", "z")
-_NUMBERS = ("number", "waypoint", "id", "lease", "left_out", "earlier_s", "session", "sequence")
+_NUMBERS = ("number", "waypoint", "id", "lease", "left_out", "session", "sequence")
 _LIMITS = ("max_height_m", "max_radius_m", "max_speed_m_s", "battery_floor_percent")
 _FLAGS = ("is_there", "is_connected", "steered", "is_ack", "obtain", "stable")
 _WORD_OR_NUMBER = float | str
 _KEPT = {
     **dict.fromkeys((*_WORDS, *_SAID), str),
-    **dict.fromkeys((*_MOVES, *_NUMBERS, *_LIMITS), float),
+    **dict.fromkeys((*_MOVES, *_LIMITS, "earlier_s"), float),
+    **dict.fromkeys(_NUMBERS, int),
     "yaw": _WORD_OR_NUMBER,
     **dict.fromkeys(_FLAGS, bool),
     **dict.fromkeys(("setpoint", "mode", "limits"), dict),
 }
 _NAMES = ("client", "by", "holder", "name")
+_NOTED = ("clients", "journal", "mission", "text")
 _EVENTS = ("authority", "connection", "client", "lease", "control", "order", "setpoints", "state")
 
 
@@ -86,6 +122,9 @@ class _Cleaner:
         if position is None or _POSITION not in items:
             return value
         offset = items[_POSITION][0]
+        if _has_place_elsewhere(value, offset, at):
+            self.removed["packages of more than one layout"] += 1
+            return None
         first = struct.unpack_from("<d", value, offset)[0]
         place = (0.0, 0.0)
         if has_fix(position):
@@ -107,9 +146,9 @@ class _Cleaner:
             moved = [[*self.moved.place(one[0], one[1]), float(one[2])] for one in places]
             return {"event": event, "name": self._name(content["name"]), "waypoints": moved}
         if event not in _EVENTS:
-            self.removed[f"{event if _WORD.fullmatch(str(event)) else 'unknown'} notes"] += 1
+            self.removed[f"notes of {event if event in _NOTED else 'other events'}"] += 1
             return None
-        if content.get("error") and event == "connection":
+        if event == "connection" and content.get("error", "") not in _VOCABULARY:
             content = content | {"error": "the connection ended"}
         if content.get("seen"):
             content = content | {"seen": "left out"}
@@ -119,16 +158,16 @@ class _Cleaner:
     def command(self, content: dict[str, Any]) -> dict[str, Any]:
         """A command with its movement and answer, without everything else."""
         name, ack = content.get("command"), content.get("ack")
-        kept = {"command": name if _is_word(name) else "?", "is_ack": bool(content.get("is_ack"))}
+        kept = {"command": name if name in _COMMANDS else "?"}
         kept["direction"] = "tx" if content.get("direction") == "tx" else "rx"
-        if isinstance(ack, dict) and _is_word(ack.get("name")):
+        if isinstance(ack, dict) and ack.get("name") in _ACKS:
             kept["ack"] = {"name": ack["name"]}
         self.removed["other fields of commands"] += 1
-        return kept | self._kept(content)
+        return kept | {"is_ack": bool(content.get("is_ack"))} | self._kept(content)
 
     def counters(self, content: dict[str, Any]) -> dict[str, Any]:
         """Counters and the firmware."""
-        found = {name: one for name, one in content.items() if _is_counted(one)}
+        found = {name: content[name] for name in _COUNTERS if _is_counted(content.get(name))}
         firmware = content["firmware"] if content["firmware"] in PROFILES else ""
         return found | {"firmware": firmware, "acceleration": AccelerationMode.FUSED.value}
 
@@ -153,25 +192,34 @@ class _Cleaner:
         return self._names.setdefault(str(name), f"client {len(self._names) + 1}")
 
 
-def _is_word(value: object) -> bool:
-    return isinstance(value, str) and _WORD.fullmatch(value) is not None
-
-
 def _fits(kind: object, value: object) -> bool:
     """Whether a value is one that the library writes into such a field."""
     if isinstance(value, bool):
         return kind is bool
     if isinstance(value, str):
-        return kind in (str, _WORD_OR_NUMBER) and _is_word(value)
-    return kind in (float, _WORD_OR_NUMBER) and isinstance(value, int | float)
+        is_known = value in _VOCABULARY or _ERROR.fullmatch(value) is not None
+        return kind in (str, _WORD_OR_NUMBER) and is_known
+    if isinstance(value, int):
+        return kind in (int, float, _WORD_OR_NUMBER) and abs(value) < 1_000_000
+    return kind in (float, _WORD_OR_NUMBER) and isinstance(value, float)
 
 
 def _is_counted(value: object) -> bool:
     if isinstance(value, dict):
-        return all(_is_word(name) and _is_counted(one) for name, one in value.items())
+        return all(name in _COUNTED and _is_counted(one) for name, one in value.items())
     if isinstance(value, list):
         return all(map(_is_counted, value))
     return isinstance(value, int | float)
+
+
+def _has_place_elsewhere(value: bytes, offset: int, at: float) -> bool:
+    """Whether another firmware would send such a package, with a place at another offset."""
+    for other in map(profile, fitting_profiles(value)):
+        if plan_of(value, other).items[_POSITION][0] != offset:
+            position = Sample(value, other, at).get(Position)
+            if position is not None and has_fix(position):
+                return True
+    return False
 
 
 def share(flight: FlightLog, stream: IO[bytes], *, firmware: str | None = None) -> dict[str, int]:
@@ -186,20 +234,19 @@ def share(flight: FlightLog, stream: IO[bytes], *, firmware: str | None = None) 
         How often each kind of content was moved, replaced or left out.
 
     Raises:
-        UsageError: The firmware was never known, and none is given; mcap is not installed.
+        UsageError: The firmware was never known, and none is given; nothing of the log may be in a
+            copy; mcap is not installed.
     """
     known = None if firmware is None else profile(firmware)
     for message in flight.messages(LINK) if known is None else ():
         known = PROFILES.get(message.content().get("firmware", ""), known)  # the last one
     if known is None:
         raise flight.nameless("--firmware 1.0")
-    cleaner, sequence = _Cleaner(), 0
-    copy = os.dup(stream.fileno())
-    scribe = _Scribe(mcap_module("writer").Writer, os.fdopen(copy, "wb"), flight.path, 10.0)
+    cleaner, sequence, log = _Cleaner(), 0, LogWriter(stream, 10.0)
     first = next(flight.messages(), None)
-    scribe.utc_offset_s = 0.0 if first is None else first.utc - first.at
+    log.utc_offset_s = 0.0 if first is None else first.utc - first.at
     for one in flight.heard(COMMAND, EVENT, LINK, firmware=known):
-        batch = _Batch(profile=known, acceleration=AccelerationMode.FUSED)
+        batch = Batch(profile=known, acceleration=AccelerationMode.FUSED)
         if isinstance(one, Message):
             batch.entries = [(one.at, entry) for entry in _entries(cleaner, one)]
         else:
@@ -209,8 +256,9 @@ def share(flight: FlightLog, stream: IO[bytes], *, firmware: str | None = None) 
                     data = bytes(PushTelemetry.ADDRESS) + moved
                     frame = encode_frame(data, session=0, sequence=sequence)
                     batch.chunks.append((Direction.RECEIVED, frame, at))
-        scribe.write(batch)
-    scribe.finish()
+        log.write(batch)
+    if not log.finish():
+        raise UsageError(f"{flight.path} has nothing that a copy may have; nothing was written")
     cleaner.removed["sent bytes, and received ones that are no telemetry: all"] += 1
     return dict(cleaner.removed)
 

@@ -163,7 +163,7 @@ class Filed(Recorder):
         self._hand_over()
         self._is_ended = True
         self._look = tuple
-        self._scribe._writer.finish = self._scribe.flush
+        self._log._writer.finish = self._log.flush
 
 
 # -- the accidents ---------------------------------------------------------------------------------

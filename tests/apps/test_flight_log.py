@@ -227,7 +227,7 @@ async def test_a_log_that_fails_hinders_no_order(
         handler.emit = failing  # type: ignore[assignment]  # it raises, as a full disk does
         logging.getLogger("m100link").addHandler(handler)
     elif fails == "writing":
-        monkeypatch.setattr("m100link.log.recorder._Scribe.write", failing)
+        monkeypatch.setattr("m100link.log.recorder.LogWriter.write", failing)
     else:
         rig.agent.journal.on_event.append(failing)  # type: ignore[arg-type]
     lease = await one.acquire("Anna")

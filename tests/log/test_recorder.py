@@ -438,25 +438,25 @@ def test_a_computer_that_loses_its_power_loses_five_seconds_of_the_log(
     disk = Disk(monkeypatch, tmp_path)
     with path.open("xb") as stream, monkeypatch.context() as patch:
         patch.setattr(time, "monotonic", lambda: now[0])
-        scribe = recorder._Scribe(Writer, stream, path, 10.0)
-        lost, flushes, flush = [], 0, scribe.flush
+        log = recorder.LogWriter(stream, 10.0)
+        lost, flushes, flush = [], 0, log.flush
 
         def counted() -> None:
             nonlocal flushes
             flushes += 1
             flush()
 
-        patch.setattr(scribe, "flush", counted)
+        patch.setattr(log, "flush", counted)
         for number in range(130):
             now[0] += 0.1
-            scribe.write(recorder._Batch([(Direction.SENT, VERSION, now[0])]))
-            scribe.flush_in_time()
+            log.write(recorder.Batch([(Direction.SENT, VERSION, now[0])]))
+            log.flush_in_time()
             kept = disk.content(path)
             if number % 7 == 0 and kept:
                 (tmp_path / "left.mcap").write_bytes(kept)
                 newest = max(one.at for one in read(tmp_path / "left.mcap").chunks())
                 lost.append(now[0] - newest)
-        scribe.close()
+        log.close()
     assert 20 <= flushes <= 27, "13 s, and two a second: small parts make a large file"
     assert len(lost) > 10
     assert max(lost) < 5.0 + 0.7  # what waits for its flush comes to that

@@ -2,21 +2,36 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import math
 import random
 import struct
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import pytest
+from mcap.writer import Writer
 
 from m100link import Credentials, Position, connect
+from m100link.apps.agent import orders
+from m100link.apps.agent.lease import Flown, LeaseChange
+from m100link.apps.agent.messages import Stage
+from m100link.apps.agent.server.authority import HoldingInput, HoldingState
+from m100link.errors import LossReason, UsageError
+from m100link.flight.authority import AuthorityState
+from m100link.flight.mission_state import MissionKind
 from m100link.log import read
 from m100link.log.channels import RX, TX
-from m100link.log.share import share
+from m100link.log.reading import FlightLog
+from m100link.log.records import registered
+from m100link.log.share import _EVENTS, _KEPT, _NAMES, _VOCABULARY, _Cleaner, share
 from m100link.log.story import read_story
+from m100link.protocol.firmware import profile
+from m100link.protocol.packet import field_span, telemetry_size
+from m100link.protocol.setpoint import Horizontal, ReferenceFrame, Vertical, Yaw
 from tests.log.flight import APP_ID, KEY, URL
 
 pytestmark = pytest.mark.anyio
@@ -83,6 +98,7 @@ async def test_nothing_of_the_original_is_in_the_copy(tmp_path: Path, seed: int)
     flight = read(path)
     with copy.open("xb") as stream:
         removed = share(flight, stream)
+    assert "Muster" not in str(removed)
     assert removed["positions, moved"] > 100
     assert removed["names, replaced"] > 5
     shared = read(copy)
@@ -92,6 +108,8 @@ async def test_nothing_of_the_original_is_in_the_copy(tmp_path: Path, seed: int)
     samples = flight.samples(firmware=firmware)
     places = [place for one in samples if (place := one.get(Position)) is not None]
     true = {struct.pack("<d", one.latitude_rad) for one in places[:: len(places) // 40]}
+    for secret in secrets:  # in what stands outside of the compressed parts
+        assert secret.encode() not in copy.read_bytes()
     for message in shared.messages():
         for secret in secrets:
             assert secret.encode() not in message.data, (message.topic, secret)
@@ -135,3 +153,176 @@ async def test_a_place_far_from_the_first_does_not_show_how_far_it_was_moved(
     ]
     assert plan["waypoints"][0] == pytest.approx(plan["waypoints"][1], abs=1e-9)
     assert not [one for one in read(copy).messages() if b"Anna" in one.data]
+
+
+# -- words: a name may stand in any field of any note ----------------------------------------------
+
+
+WORDS = (
+    "Anna Muster",
+    "anna-laptop closed",
+    "Muster farm",
+    "47.123456",
+    "SN0K1DB3511234",
+    "MUSTER",
+)
+
+
+def drawn(draw: random.Random, depth: int = 0) -> Any:
+    """A value of a note of somebody's own program: a word, a number, a list or more of them."""
+    match draw.randrange(6 if depth < 3 else 3):
+        case 0 | 1:
+            return draw.choice(WORDS)
+        case 2:
+            return draw.choice((471234567, -471234567, 2**40))
+        case 3:
+            return [drawn(draw, depth + 1) for _ in range(draw.randrange(3))]
+        case _:
+            return {draw.choice(FIELDS): drawn(draw, depth + 1) for _ in range(4)}
+
+
+FIELDS = (*_KEPT, *_NAMES, *WORDS, "seen", "text", "arguments", "discards", "round_trips", "names")
+
+
+def written(path: Path, *messages: tuple[str, Any]) -> FlightLog:
+    """A log of another writer, by topic and content."""
+    with path.open("xb") as stream:
+        writer: Any = Writer(stream)
+        writer.start()
+        for number, (topic, content) in enumerate(messages):
+            channel = registered(writer, topic)
+            at = 10**9 * (number + 1)
+            writer.add_message(channel, at, json.dumps(content).encode(), at)
+        writer.finish()
+    return read(path)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_no_word_that_is_not_the_librarys_own_is_copied(tmp_path: Path, seed: int) -> None:
+    draw = random.Random(seed)
+    print(f"{seed=}")  # noqa: T201 (of a failure)
+    messages: list[tuple[str, Any]] = [("/m100/link", {"firmware": "1.0", "bytes_sent": 3})]
+    for _ in range(300):
+        content = {draw.choice(FIELDS): drawn(draw) for _ in range(8)}
+        topic = draw.choice(("/m100/event", "/m100/command", "/m100/link"))
+        if topic == "/m100/event":
+            content["event"] = draw.choice((*_EVENTS, "plan", "journal", *WORDS))
+        elif topic == "/m100/link":
+            content["firmware"] = "1.0"
+        messages.append((topic, content))
+    with (tmp_path / "b.mcap").open("xb") as stream:
+        share(written(tmp_path / "a.mcap", *messages), stream)
+    copied = read(tmp_path / "b.mcap")
+    assert sum(copied.summary().messages.values()) > 50
+    for one in copied.messages():
+        for secret in ("Muster", "MUSTER", "laptop", "farm", "47.12", "SN0K", "471234567"):
+            is_counter = secret.isdecimal() and one.topic == "/m100/link"
+            assert is_counter or secret.encode() not in one.data, one
+
+
+def test_each_word_of_the_agent_may_be_copied() -> None:
+    """A new order whose name is no word of the copy would be lost from it."""
+
+    def kinds(one: type[orders.Order]) -> Iterator[str]:
+        for kind in one.__subclasses__():
+            if kind not in (orders.EndingOrder, orders.LeaseOrder):
+                yield kind.label
+            yield from kinds(kind)
+
+    words = {
+        str(one.value)
+        for kind in (LeaseChange, Flown, HoldingState, HoldingInput, AuthorityState, LossReason,
+                     MissionKind, Stage)
+        for one in kind
+    }  # fmt: skip
+    words |= {
+        one.name.lower() for kind in (Horizontal, Vertical, Yaw, ReferenceFrame) for one in kind
+    }
+    assert words | set(kinds(orders.Order)) <= _VOCABULARY
+
+
+# -- files and disks -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "messages",
+    [
+        (),
+        (("/other", {}),),
+        (("/m100/link", {"firmware": "1.0"}),),
+        (("/m100/event", {"event": "journal", "text": "x"}),),
+        (("/m100/event", {"event": "order", "stage": "asked"}),),
+    ],
+)
+def test_the_original_stays_whatever_is_in_it(
+    tmp_path: Path, messages: tuple[tuple[str, Any], ...]
+) -> None:
+    """A log with nothing to copy was removed, as that of a port that could not be opened."""
+    path = tmp_path / "a.mcap"
+    flight = written(path, *messages)
+    before = path.read_bytes()
+    with (tmp_path / "b.mcap").open("xb") as stream, suppress(UsageError):
+        share(flight, stream, firmware="1.0")
+    assert path.read_bytes() == before
+
+
+@pytest.mark.parametrize("lost", ["nothing", "its end", "its middle", "a disk"])
+async def test_a_damaged_log_and_a_full_disk_cost_the_copy_alone(tmp_path: Path, lost: str) -> None:
+    path = tmp_path / "a.mcap"
+    async with connect(URL, record=path, acceleration="fused"):
+        await asyncio.sleep(6.0)
+    data = bytearray(path.read_bytes())
+    if lost == "its end":
+        del data[len(data) // 2 :]
+    elif lost == "its middle":
+        data[len(data) // 2 : len(data) // 2 + 300] = bytes(300)
+    path.write_bytes(data)
+    with (tmp_path / "b.mcap").open("xb") as stream:
+        if lost == "a disk":
+            full: Any = Full(stream)
+            with pytest.raises(OSError, match="No space"):
+                share(read(path), full)
+        else:
+            share(read(path), stream)
+            stream.flush()
+            assert read(tmp_path / "b.mcap").damage.is_ended
+    assert path.read_bytes() == data
+
+
+class Full:
+    """A disk that takes 5,000 bytes."""
+
+    def __init__(self, stream: Any) -> None:
+        self._stream, self._left = stream, 5000
+
+    def write(self, data: bytes) -> int:
+        self._left -= len(data)
+        if self._left < 0:
+            raise OSError(28, "No space left on device")
+        return int(self._stream.write(data))
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+
+def test_a_package_of_two_layouts_is_left_out_when_the_other_has_a_place() -> None:
+    """Read by the firmware that a user guessed, its true place would stay in the copy."""
+    wrong, right = profile("3.1"), profile("1.0-document")
+    flags = next(
+        flags
+        for flags in range(1 << 12)
+        if flags >> 5 & 1
+        and not flags & ~(wrong.item_flags & right.item_flags)
+        and telemetry_size(flags, wrong) == telemetry_size(flags, right)
+        and (field_span(Position, "latitude_rad", flags, wrong)
+             != field_span(Position, "latitude_rad", flags, right))
+    )  # fmt: skip
+    value = bytearray(flags.to_bytes(2, "little") + bytes(telemetry_size(flags, right) - 2))
+    for name, degrees in (("latitude_rad", 47.1), ("longitude_rad", 11.3)):
+        span = field_span(Position, name, flags, right)
+        assert span is not None
+        value[span] = struct.pack("<d", math.radians(degrees))
+    assert _Cleaner().package(bytes(value), wrong, 0.0) is None
+    moved = _Cleaner().package(bytes(value), right, 0.0)
+    assert moved is not None
+    assert struct.pack("<d", math.radians(47.1)) not in moved
