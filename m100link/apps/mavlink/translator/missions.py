@@ -163,7 +163,7 @@ class MissionProtocol:
         try:
             why = self._may_change(peer, kind)
             if why:
-                raise Refused(MissionResult.DENIED, why)
+                raise Refused(why, MissionResult.DENIED)
             if kind == MissionType.FENCE:
                 self.fence = read_fence(items)
                 if any(item["command"] == MavCommand.NAV_FENCE_RETURN_POINT for item in items):
@@ -176,7 +176,7 @@ class MissionProtocol:
                 ground = self._ground()
                 route = read_route(items, ground=ground or 0.0, speed=self._speed())
                 if ground is not None and (why := self._refusal_of(route)):
-                    raise Refused(MissionResult.INVALID, why)
+                    raise Refused(why)
                 named = [command_name(one) for one in dict.fromkeys(route.left_out)]
                 for at in range(0, len(named), 4):  # as many as a text holds
                     text = f"mission: without effect: {', '.join(named[at : at + 4])}"
@@ -460,7 +460,7 @@ def read_fence(items: Sequence[MavlinkMessage]) -> Fence:
             if not waiting:
                 wanted, kind = _corners(number, item["param1"]), command
             if command != kind or item["param1"] != wanted:
-                raise Refused(MissionResult.INVALID, f"fence item {number}: another polygon begins")
+                raise Refused(f"fence item {number}: another polygon begins")
             _frame(number, place)  # a place at all
             waiting.append(place)
             if len(waiting) == wanted:
@@ -475,20 +475,21 @@ def read_fence(items: Sequence[MavlinkMessage]) -> Fence:
         if command == MavCommand.NAV_FENCE_RETURN_POINT and not waiting:
             continue  # no area: the first item of each fence of MAVProxy and Mission Planner
         if waiting or command not in _CIRCLES:
-            raise Refused(MissionResult.UNSUPPORTED, f"fence item {number}: command {command}")
+            why = f"fence item {number}, {command_name(command)}: it is no area, take it out"
+            raise Refused(why, MissionResult.UNSUPPORTED)
         radius = float(item["param1"])
         if not math.isfinite(radius) or radius < 0.0:
-            raise Refused(MissionResult.INVALID, f"fence item {number}: radius {radius:g} m")
+            raise Refused(f"fence item {number}: radius {radius:g} m")
         if radius > 0.0:  # how programs write "none"
             areas.append(_Area(_CIRCLES[command], _frame(number, place), _space(*place), radius))
     if waiting:
-        raise Refused(MissionResult.INVALID, "a polygon of the fence is incomplete")
+        raise Refused("a polygon of the fence is incomplete")
     return Fence(tuple(areas))
 
 
 def _corners(number: int, count: float) -> int:
     if not 3 <= count <= 1000 or count != int(count):
-        raise Refused(MissionResult.INVALID, f"fence item {number}: a polygon of {count:g} corners")
+        raise Refused(f"fence item {number}: a polygon of {count:g} corners")
     return int(count)
 
 
@@ -496,4 +497,4 @@ def _frame(number: int, place: tuple[float, float]) -> LocalFrame:
     try:
         return LocalFrame(*place)
     except ValueError:
-        raise Refused(MissionResult.INVALID, f"fence item {number}: no such place") from None
+        raise Refused(f"fence item {number}: no such place") from None

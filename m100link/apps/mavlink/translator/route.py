@@ -44,7 +44,7 @@ _REMEDIES = {
 
 
 class Refused(Exception):
-    def __init__(self, result: MissionResult, why: str) -> None:
+    def __init__(self, why: str, result: MissionResult = MissionResult.INVALID) -> None:
         super().__init__(why)
         self.result = result  # for the ground station
         self.why = why
@@ -82,34 +82,33 @@ class Route:
         try:
             if row is None:
                 remedy = _REMEDIES.get(command, "take it out")
-                raise Refused(MissionResult.UNSUPPORTED, f"it cannot be flown: {remedy}")
+                raise Refused(f"it cannot be flown: {remedy}", MissionResult.UNSUPPORTED)
             if self._is_over:
-                raise Refused(MissionResult.INVALID, "it comes after the item that ends the way")
+                raise Refused("it comes after the item that ends the way")
             if any(math.isinf(item[name]) for name in ("param1", "param2", "param3", "param4")):
-                raise Refused(MissionResult.INVALID, "a parameter is infinite")
+                raise Refused("a parameter is infinite")
             row.reader(self, number, item)
         except Refused as refused:
-            why = f"item {number}, {command_name(command)}: {refused.why}"
-            raise Refused(refused.result, why) from None
+            where = f"item {number}, {command_name(command)}"
+            raise Refused(f"{where}: {refused.why}", refused.result) from None
 
     def _height(self, item: MavlinkMessage) -> float:
         frame, height = item["frame"], float(item["z"])
         if frame in SEA_LEVEL:
             if self._ground is None:
-                raise Refused(MissionResult.ERROR, "the altitude of the ground is unknown")
+                raise Refused("the altitude of the ground is unknown", MissionResult.ERROR)
             height -= self._ground
         elif frame not in RELATIVE:
             why = f"frame {frame}: give the altitude above home"
-            raise Refused(MissionResult.UNSUPPORTED_FRAME, why)
+            raise Refused(why, MissionResult.UNSUPPORTED_FRAME)
         if not 0.0 <= height < 1000.0:
-            why = f"{height:.1f} m above the ground: 0 to 1000 m"
-            raise Refused(MissionResult.INVALID, why)
+            raise Refused(f"{height:.1f} m above the ground: 0 to 1000 m")
         return height
 
     def take_off(self, number: int, item: MavlinkMessage) -> None:
         """NAV_TAKEOFF."""
         if self.legs:
-            raise Refused(MissionResult.INVALID, "a take-off in the air: use NAV_WAYPOINT")
+            raise Refused("a take-off in the air: use NAV_WAYPOINT")
         self.height = self._height(item)
 
     def waypoint(self, number: int, item: MavlinkMessage) -> None:
@@ -125,8 +124,7 @@ class Route:
         """NAV_LOITER_TURNS: around the place before where it names none."""
         turns, radius = float(item["param1"]), float(item["param3"])
         if not (0.0 < turns <= _MOST_TURNS and 1.0 <= abs(radius) < math.inf):
-            why = f"{turns:g} turns of {abs(radius):g} m: up to {_MOST_TURNS:g}, from 1 m"
-            raise Refused(MissionResult.INVALID, why)
+            raise Refused(f"{turns:g} turns of {abs(radius):g} m: up to {_MOST_TURNS:g}, from 1 m")
         if self.legs and not (item["x"] or item["y"]):
             before = self.legs[-1].order
             place, height = (before.latitude_deg, before.longitude_deg), before.height
@@ -147,8 +145,7 @@ class Route:
         before = self.legs[-1].order if self.legs else None
         yaw, is_relative = item["param1"], item["param4"]
         if not isinstance(before, FlyTo) or is_relative or not math.isfinite(yaw):
-            why = "only an absolute heading, behind a waypoint: name it in the waypoint"
-            raise Refused(MissionResult.INVALID, why)
+            raise Refused("only an absolute heading, behind a waypoint: name it in the waypoint")
         order = replace(before, yaw_deg=math.remainder(yaw, 360.0))
         self.legs.append(RoutePoint(number, order))
 
@@ -156,7 +153,7 @@ class Route:
         """NAV_DELAY by seconds."""
         wait = _seconds(item["param1"])
         if not wait or not self.legs:
-            raise Refused(MissionResult.INVALID, "only seconds, behind a waypoint")
+            raise Refused("only seconds, behind a waypoint")
         last = self.legs[-1]
         self.legs[-1] = replace(last, wait=min(_LONGEST_WAIT, last.wait + wait))
 
@@ -167,8 +164,7 @@ class Route:
             self.left_out.append(item["command"])
         elif math.isfinite(speed) and speed > 0.0:
             if speed > FASTEST_M_S:
-                why = f"{speed:g} m/s is too fast: up to {FASTEST_M_S:g}"
-                raise Refused(MissionResult.INVALID, why)
+                raise Refused(f"{speed:g} m/s is too fast: up to {FASTEST_M_S:g}")
             self._speed = speed
 
     def go_home(self, number: int, item: MavlinkMessage) -> None:
@@ -199,8 +195,7 @@ def _is_home(items: Sequence[MavlinkMessage], ground: float) -> bool:
 def _place(item: MavlinkMessage) -> tuple[float, float]:
     latitude, longitude = item["x"] / 1e7, item["y"] / 1e7
     if not (abs(latitude) <= 89.0 and abs(longitude) <= 180.0) or not (latitude or longitude):
-        why = f"there is no place {latitude:g}, {longitude:g} to fly to"
-        raise Refused(MissionResult.INVALID, why)
+        raise Refused(f"there is no place {latitude:g}, {longitude:g} to fly to")
     return latitude, longitude
 
 
@@ -208,8 +203,7 @@ def _seconds(value: float) -> float:
     if not math.isfinite(value):
         return 0.0
     if not 0.0 <= value <= _LONGEST_WAIT:
-        why = f"{value:g} s of hovering: 0 to {_LONGEST_WAIT:g}"
-        raise Refused(MissionResult.INVALID, why)
+        raise Refused(f"{value:g} s of hovering: 0 to {_LONGEST_WAIT:g}")
     return float(value)
 
 
@@ -256,8 +250,7 @@ def read_route(items: Sequence[MavlinkMessage], *, ground: float | None, speed: 
         if number or not _is_home(items, ground or 0.0):
             route.read(number, item)
     if items and not route.legs:
-        why = "the mission has no place to fly to: add a waypoint"
-        raise Refused(MissionResult.INVALID, why)
+        raise Refused("the mission has no place to fly to: add a waypoint")
     return route
 
 
