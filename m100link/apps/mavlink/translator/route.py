@@ -23,7 +23,7 @@ from m100link.protocol.commands.waypoint import WaypointMission
 from m100link.protocol.firmware import PROFILES
 
 _LONGEST_WAIT, _MOST_TURNS = 600.0, 100.0
-FASTEST_M_S = 10.0
+_SLOWEST_M_S, FASTEST_M_S = 0.1, 10.0
 """Of a leg, and what the pilot's stick adds to a mission that the aircraft flies included."""
 
 _LOWEST_M = 1.0  # of a first place that is flown to, above the ground
@@ -163,8 +163,8 @@ class Route:
         if item["param1"] not in (0.0, 1.0):
             self.left_out.append(item["command"])
         elif math.isfinite(speed) and speed > 0.0:
-            if speed > FASTEST_M_S:
-                raise Refused(f"{speed:g} m/s is too fast: up to {FASTEST_M_S:g}")
+            if not _SLOWEST_M_S <= speed <= FASTEST_M_S:
+                raise Refused(f"{speed:g} m/s is not {_SLOWEST_M_S:g} to {FASTEST_M_S:g}")
             self._speed = speed
 
     def go_home(self, number: int, item: MavlinkMessage) -> None:

@@ -89,6 +89,7 @@ def test_a_place_of_a_mission(command: int, given: dict[str, float], expected: R
         ([item(93, param1=5.0)], MissionResult.INVALID),
         ([item(16), item(93, param1=0.0)], MissionResult.INVALID),
         ([item(178, param1=1.0, param2=10.5), item(16)], MissionResult.INVALID),
+        ([item(178, param1=1.0, param2=0.09), item(16)], MissionResult.INVALID),
         ([item(22)], MissionResult.INVALID),
         ([item(2000)], MissionResult.INVALID),
         ([item(18, param1=1.0, param3=0.5)], MissionResult.INVALID),
@@ -134,7 +135,7 @@ def test_a_refusal_has_the_item_its_name_and_the_remedy() -> None:
         ([item(82)], "item 0, NAV_SPLINE_WAYPOINT (82): it cannot be flown: use NAV_WAYPOINT"),
         ([item(16), item(112)], "item 1, CONDITION_DELAY (112): it cannot be flown: take it out"),
         ([item(16, z=1000.5)], "item 0, NAV_WAYPOINT (16): 1000.5 m above the ground: 0 to 1000"),
-        ([item(178, param1=1.0, param2=15.0)], "item 0, DO_CHANGE_SPEED (178): 15 m/s is too"),
+        ([item(178, param1=1.0, param2=15.0)], "item 0, DO_CHANGE_SPEED (178): 15 m/s is not 0.1"),
     ):
         with pytest.raises(Refused) as caught:
             read(*items)
