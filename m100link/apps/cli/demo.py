@@ -32,14 +32,13 @@ from m100link.apps.cli.display import line_plot, track_plot
 from m100link.apps.cli.options import Json, Simulated
 from m100link.apps.cli.terminal import AS_IT_IS, ExitCode, LogOptions, complain, print_json
 from m100link.apps.station.config import RECORD_KEEP, RECORD_KEEP_MB
-from m100link.errors import M100Error, NotObserved
+from m100link.errors import M100Error
 from m100link.flight.control import Control
 from m100link.flight.guards import Guards
 from m100link.geodesy import LocalFrame
 from m100link.link import LinkStatistics
 from m100link.log.folder import Flights, default_folder
 from m100link.protocol.records import Position
-from m100link.protocol.setpoint import Setpoint
 from m100link.sim import Driver, PtyPort, VirtualAircraft, loop_factory
 
 _STAGES = ("connect", "activate", "obtain control", "take off", "square", "land", "release")
@@ -47,10 +46,6 @@ _STAGES = ("connect", "activate", "obtain control", "take off", "square", "land"
 _FASTEST = 50.0
 """Beyond it, time-outs are shorter than a machine needs to wake up."""
 
-_ARRIVED_M = 0.25
-_SETTLED_M_S = 0.3
-_GAIN = 0.7  # m/s of velocity per metre of distance
-_LEG_TIMEOUT = 40.0
 _RETURN_TOLERANCE_M = 1.0
 
 _PICTURE = 32
@@ -120,7 +115,7 @@ def _is_speed(_: object, speed: float | str) -> None:
 def demo(
     *,
     speed: Annotated[float | Literal["max"], Parameter(validator=_is_speed)] = 1.0,
-    side: Annotated[float, Parameter(validator=validators.Number(gte=1, lte=200))] = 8.0,
+    side: Annotated[float, Parameter(validator=validators.Number(gte=1, lte=100))] = 8.0,
     firmware: Simulated = "1.0",
     seed: int = 1,
     json: Json = False,
@@ -221,7 +216,7 @@ async def _mission(
             guards = Guards(stale_telemetry_s=max(1.0, speed))
             control = await aircraft.control(stop="land", guards=guards).__aenter__()
         try:
-            await _fly_square(aircraft, control, flight, side)
+            await _fly_square(control, flight, side)
         finally:
             with flight.during("release"):
                 await control.__aexit__(*sys.exc_info())
@@ -230,52 +225,19 @@ async def _mission(
         await asyncio.wait([tracker])
 
 
-async def _fly_square(aircraft: Aircraft, control: Control, flight: _Flight, side: float) -> None:
+async def _fly_square(control: Control, flight: _Flight, side: float) -> None:
     with flight.during("take off"):
         await control.take_off()
-    position = aircraft.state.position
-    assert position is not None
-    frame = LocalFrame(position.latitude_deg, position.longitude_deg)
+    home = control.local_frame()
     with flight.during("square"):
-        for corner in ((side, 0.0), (side, side), (0.0, side), (0.0, 0.0)):
-            flight.note = f"to {corner[0]:g} m north, {corner[1]:g} m east"
-            await _fly_to_corner(aircraft, control, frame, corner)
+        for north, east in ((side, 0.0), (side, side), (0.0, side), (0.0, 0.0)):
+            flight.note = f"to {north:g} m north, {east:g} m east"
+            await control.fly_to(north=north, east=east, height=3.0, frame=home, speed=3.0)
         await control.stop()
         flight.setpoints = control.setpoints_sent
     with flight.during("land"):
         await control.land()
     flight.landed = True
-
-
-async def _fly_to_corner(
-    aircraft: Aircraft, control: Control, frame: LocalFrame, corner: tuple[float, float]
-) -> None:
-    """Velocity towards the corner, slower the nearer it is; 3 m above the take-off point."""
-    async for tick in control.ticks(rate_hz=50):
-        position = aircraft.state.position
-        assert position is not None
-        north, east = frame.to_local(position.latitude_deg, position.longitude_deg)
-        to_north, to_east = corner[0] - north, corner[1] - east
-        distance = math.hypot(to_north, to_east)
-        velocity = aircraft.state.velocity
-        speed = 0.0 if velocity is None else velocity.ground_speed_m_s
-        if distance < _ARRIVED_M and speed < _SETTLED_M_S:
-            return
-        if tick.elapsed > _LEG_TIMEOUT:
-            raise NotObserved(
-                f"corner {corner} was not reached in {_LEG_TIMEOUT:g} s; {distance:.1f} m are left",
-                situation=aircraft.state.situation(),
-            )
-        speed = min(3.0, _GAIN * distance)
-        up = max(-1.0, min(1.0, 3.0 - position.height_m))
-        control.send(
-            Setpoint.velocity(
-                north=speed * to_north / distance,
-                east=speed * to_east / distance,
-                up=up,
-                yaw_rate_deg_s=0.0,
-            )
-        )
 
 
 async def _track(aircraft: Aircraft, flight: _Flight) -> None:
