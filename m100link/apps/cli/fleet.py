@@ -138,6 +138,7 @@ ROUTER = "tcp/127.0.0.1:7447"
 
 Name = Annotated[str, Parameter(help="Name of the aircraft.")]
 Names = Annotated[str, Parameter(help="Names of aircraft.")]
+TakeOver = Annotated[bool, Parameter(help="Take control from its holder, in one step.")]
 All = Annotated[bool, Parameter(name="--all", help="All aircraft that are present.")]
 
 

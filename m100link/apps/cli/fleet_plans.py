@@ -19,6 +19,7 @@ from m100link.apps.cli.fleet import (
     FleetOptions,
     Left,
     Name,
+    TakeOver,
     borrowed,
     reported_when_interrupted,
     say,
@@ -28,7 +29,7 @@ from m100link.apps.cli.fleet import (
 )
 from m100link.apps.cli.mission import event_name, event_words
 from m100link.apps.cli.options import Above0, AsJson, Force, Yes, group
-from m100link.apps.cli.plan import File, FileOptions, read_plan
+from m100link.apps.cli.plan import File, FileOptions, PlanFile, TakeOff, read_plan
 from m100link.apps.cli.terminal import ExitCode, ReaderGone, print_json, wants_json
 from m100link.apps.fleet.client import FleetAircraft
 from m100link.apps.fleet.missions.flight import FleetMission, MissionOrders
@@ -52,12 +53,12 @@ missions = group(
 @missions.command
 def fly(
     name: Name,
-    plan: File,
+    plan: PlanFile,
     /,
     *,
     file: FileOptions | None = None,
-    take_off: bool = False,
-    take_over: bool = False,
+    take_off: TakeOff = False,
+    take_over: TakeOver = False,
     yes: Yes = False,
     options: FleetOptions = NO_OPTIONS,
 ) -> int:
@@ -66,11 +67,6 @@ def fly(
     The mission flies as long as this command holds the lease. If the command is killed or cut off
     from the network, the lease ends within three seconds: the agent stops the mission, and its
     --lost says what follows. `pause`, `resume` and `stop` act on the mission from another shell.
-
-    Args:
-        plan: A file, JSON or .plan; - is standard input.
-        take_off: Take off first, from the ground, as a plan with a take-off does.
-        take_over: Take control from its holder, in one step.
     """
     found = read_plan(plan, file)
     show = _Show(name, found, as_json=options.json_output)
@@ -196,17 +192,13 @@ async def _ordering(
 @missions.command
 async def upload(
     name: Name,
-    plan: File,
+    plan: PlanFile,
     /,
     *,
     file: FileOptions | None = None,
     options: FleetOptions = NO_OPTIONS,
 ) -> int:
-    """Upload a plan to the agent, for `start`. Needs a running `fleet lease`; void when that ends.
-
-    Args:
-        plan: A file, JSON or .plan; - is standard input.
-    """
+    """Upload a plan to the agent, for `start`; void when the `fleet lease` that it needs ends."""
     found = read_plan(plan, file)
 
     async def do(orders: MissionOrders, _: FleetAircraft) -> str:
@@ -223,14 +215,13 @@ async def start(
     /,
     *,
     file: FileOptions | None = None,
-    take_off: bool = False,
+    take_off: TakeOff = False,
     options: FleetOptions = NO_OPTIONS,
 ) -> int:
     """Start the uploaded plan; it flies while `fleet lease` runs.
 
     Args:
         plan: The file that was uploaded: another plan on board does not fly.
-        take_off: Take off first, from the ground, as a plan with a take-off does.
     """
     found = read_plan(plan, file)
 
@@ -299,6 +290,8 @@ def _progress(card: MissionCard) -> str:
 
 shows = group("show", "Check, draw and fly formations, whose aircraft fly timed tracks.")
 
+ShowFile = Annotated[File, Parameter(help="A file of JSON; - is standard input.")]
+
 
 @Parameter(name="*")
 @dataclass(frozen=True)
@@ -329,14 +322,11 @@ def _read(file: File) -> Show:
 
 @shows.command
 def check(
-    show: File, /, *, guards: ShowEnvelopeOptions = ShowEnvelopeOptions(), json: AsJson = None
+    show: ShowFile, /, *, guards: ShowEnvelopeOptions = ShowEnvelopeOptions(), json: AsJson = None
 ) -> int:
     """Check a show: the limits of each aircraft, and when which two come too near to each other.
 
     The exit status is 0 if the show may be flown, 2 if not.
-
-    Args:
-        show: A file of JSON; - is standard input.
     """
     as_json = wants_json(json)
     try:
@@ -383,7 +373,7 @@ def _problem(error: BadShow) -> dict[str, Any]:
 
 @shows.command
 def preview(
-    show: File,
+    show: ShowFile,
     picture: File | None = None,
     /,
     *,
@@ -396,7 +386,6 @@ def preview(
     prints its problems on standard error, and exits with 2.
 
     Args:
-        show: A file of JSON; - is standard input.
         picture: An SVG file to write; - is standard output.
     """
     found = _read(show)
@@ -412,7 +401,7 @@ def preview(
 
 @shows.command(name="fly")
 def fly_show(
-    show: File,
+    show: ShowFile,
     /,
     *,
     leave: Leave = "land",
@@ -428,7 +417,6 @@ def fly_show(
     is 0 if all flew to the end and landed, where they were to.
 
     Args:
-        show: A file of JSON; - is standard input.
         leave: Action of each aircraft after its track, and when it has to leave: hover or land.
     """
     found = _read(show)

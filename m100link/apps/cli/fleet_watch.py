@@ -23,6 +23,7 @@ from m100link.apps.cli.fleet import (
     FleetOptions,
     Name,
     Names,
+    TakeOver,
     results_of,
     say,
     shared,
@@ -165,14 +166,11 @@ def _package(sample: Sample) -> dict[str, Any]:
 
 
 async def lease(
-    name: Name, /, *, take_over: bool = False, options: FleetOptions = NO_OPTIONS
+    name: Name, /, *, take_over: TakeOver = False, options: FleetOptions = NO_OPTIONS
 ) -> None:
     """Take control of one aircraft and hold it, hovering, until Ctrl-C.
 
     Meanwhile `fleet mission upload` and `start` of the same account act under this lease.
-
-    Args:
-        take_over: Take control from its holder, in one step.
     """
     ended = Ended()
     async with options.open() as fleet, fleet[name].control(take_over=take_over) as control:

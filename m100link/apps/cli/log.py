@@ -467,7 +467,7 @@ def events(file: Log, /) -> int:
 
 
 @app.command(name="share")
-def share_file(file: Log, /, *, output: Output = None, firmware: Firmware | None = None) -> int:
+def share_file(file: Log, /, *, output: Output = None, firmware: AsFlown = None) -> int:
     """Write a copy for strangers: place moved, names, serial numbers and the app id out.
 
     By default its name is FILE with ``-shared`` before the suffix. The shape of the flight, its

@@ -27,7 +27,7 @@ from m100link.apps.cli.common import (
 from m100link.apps.cli.display import Point, track_plot
 from m100link.apps.cli.flight import activated, in_control
 from m100link.apps.cli.options import OUTPUT, Force, Yes, group
-from m100link.apps.cli.plan import File, FileOptions, PlanFile, read_plan, require_free
+from m100link.apps.cli.plan import File, FileOptions, PlanFile, TakeOff, read_plan, require_free
 from m100link.apps.cli.terminal import ExitCode, ReaderGone, print_json
 from m100link.errors import UsageError
 from m100link.flight.control import Control
@@ -65,7 +65,7 @@ def fly(
     *,
     file: FileOptions | None = None,
     options: AircraftOptions = AS_SET,
-    take_off: bool = False,
+    take_off: TakeOff = False,
     allow_far: bool = False,
     limits: EnvelopeOptions = WITHIN_DEFAULTS,
     yes: Yes = False,
@@ -76,7 +76,6 @@ def fly(
     mission when this program is killed. `m100link mission stop` ends a mission left in flight.
 
     Args:
-        take_off: Take off first, from the ground, as a plan with a take-off does.
         allow_far: Allow a first waypoint more than 500 m from the aircraft.
     """
     # First, as it tells of arguments that are exchanged; and while Ctrl-C ends a wait for a pipe.

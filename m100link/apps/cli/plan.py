@@ -38,6 +38,9 @@ PlanFile = Annotated[
     File, Parameter(help="A plan: JSON, or .plan of QGroundControl; - is standard input.")
 ]
 Target = Annotated[File, Parameter(help="File to write; - is standard output.")]
+TakeOff = Annotated[
+    bool, Parameter(help="Take off first, from the ground, as a plan with a take-off does.")
+]
 Format = Annotated[
     Literal["json", "plan"] | None,
     Parameter(help="Format to write; by default the one of the file's name, else JSON."),
@@ -328,7 +331,7 @@ def survey(
     angle: float = 0.0,
     photo_every: Annotated[float | None, Above0] = None,
     speed: Annotated[float, Above0] = 5.0,
-    take_off: bool = False,
+    take_off: TakeOff = False,
     at_end: Literal["hover", "go-home", "land"] = "hover",
     to: Format = None,
     force: Force = False,
@@ -342,7 +345,6 @@ def survey(
         angle: Direction of the lines, degrees clockwise from north.
         photo_every: Metres between photographs along a line; by default it takes none.
         speed: Speed along the lines, m/s.
-        take_off: Take off first, from the ground.
         at_end: Action after the last line.
     """
     plan = lines_over(
