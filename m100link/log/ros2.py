@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping
-from functools import cached_property
 from operator import attrgetter
 from typing import IO, Any, NamedTuple
 
@@ -61,6 +60,7 @@ _NOT_THERE = [-1.0] + [0.0] * 8  # as sensor_msgs/Imu says it
 _VECTOR = dict.fromkeys("xyz", 0.0)
 _ROTATION = dict.fromkeys("xyzw", 0.0)
 _TWIST = {"linear": _VECTOR, "angular": _VECTOR}
+_TRANSFORM = {"translation": _VECTOR, "rotation": _ROTATION}
 _POSE = {"position": _VECTOR, "orientation": _ROTATION}
 _FIX_MESSAGE: dict[str, Any] = {
     "status": {"status": 0, "service": _GPS},
@@ -78,6 +78,10 @@ _BATTERY: dict[str, Any] = {
 }
 
 
+def _header(frame: str) -> Mapping[str, Any]:
+    return {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": frame}
+
+
 def _charge(battery: Battery) -> float:
     return battery.percent / 100.0 if battery.is_possible else math.nan
 
@@ -90,16 +94,36 @@ class Messages:
 
     def __init__(self, ground: str, body: str) -> None:
         self.ground, self.body = ground, body
+        made = self._stamped
+        twist, vector = ("twist.linear", "twist.angular"), "geometry_msgs/Vector3Stamped"
+        place = ("status.status", "latitude", "longitude", "altitude")
+        self._fix = made("sensor_msgs/NavSatFix", body, *place, **_FIX_MESSAGE)
+        self._velocity = made("geometry_msgs/TwistStamped", ground, *twist, twist=_TWIST)
+        self._acceleration = made(vector, ground, "vector", vector=_VECTOR)
+        self._odometry = made(
+            *("nav_msgs/Odometry", ground),
+            *("pose.pose.position", "pose.pose.orientation", "twist.twist"),
+            child_frame_id=body,
+            pose={"pose": _POSE, "covariance": [0.0] * 36},
+            twist={"twist": _TWIST, "covariance": [0.0] * 36},
+        )
+        pose = ("pose.position", "pose.orientation")
+        self._pose = made("geometry_msgs/PoseStamped", ground, *pose, pose=_POSE)
+        named = {"header": _header(ground), "child_frame_id": body, "transform": _TRANSFORM}
+        parts = ("header.stamp", "transform.translation", "transform.rotation")
+        changing = (f"transforms.0.{part}" for part in parts)
+        self._transform = Template("tf2_msgs/TFMessage", {"transforms": [named]}, *changing)
+        self._magnetometer = made(vector, body, "vector", vector=_VECTOR)
+        turned = {"quaternion": _ROTATION}
+        self._gimbal = made("geometry_msgs/QuaternionStamped", ground, "quaternion", **turned)
+        self._battery = made("sensor_msgs/BatteryState", body, "percentage", **_BATTERY)
         self._imus: dict[tuple[bool, ...], Template] = {}
         self._attitude: Attitude | None = None
         self._rotation = _LEVEL
 
-    def _header(self, frame: str) -> Mapping[str, Any]:
-        return {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": frame}
-
     def _stamped(self, name: str, frame: str, /, *changing: str, **message: Any) -> Template:
         """A message with a header, whose time changes as well."""
-        message = {"header": self._header(frame), **message}
+        message = {"header": _header(frame), **message}
         return Template(name, message, "header.stamp", *changing)
 
     def _turned(self, attitude: Attitude) -> tuple[float, float, float, float]:
@@ -110,42 +134,18 @@ class Messages:
 
     # -- position and motion ---------------------------------------------------------------------
 
-    @cached_property
-    def _fix(self) -> Template:
-        changing = ("status.status", "latitude", "longitude", "altitude")
-        return self._stamped("sensor_msgs/NavSatFix", self.body, *changing, **_FIX_MESSAGE)
-
     def fix(self, stamp: Stamp, position: Position) -> bytes:
         """sensor_msgs/NavSatFix; the altitude is the aircraft's, by its barometer."""
         place = (position.latitude_deg,), (position.longitude_deg,), (position.altitude_m,)
         return self._fix.fill(stamp, (_FIX if has_fix(position) else _NO_FIX,), *place)
 
-    @cached_property
-    def _twist(self) -> Template:
-        changing = ("twist.linear", "twist.angular")
-        return self._stamped("geometry_msgs/TwistStamped", self.ground, *changing, twist=_TWIST)
-
     def velocity(self, stamp: Stamp, velocity: Velocity) -> bytes:
         """geometry_msgs/TwistStamped over ground; it does not turn there."""
-        return self._twist.fill(stamp, velocity.enu, _ZERO)
-
-    @cached_property
-    def _vector(self) -> Template:
-        return self._stamped("geometry_msgs/Vector3Stamped", self.ground, "vector", vector=_VECTOR)
+        return self._velocity.fill(stamp, velocity.enu, _ZERO)
 
     def acceleration(self, stamp: Stamp, acceleration: Acceleration) -> bytes:
         """geometry_msgs/Vector3Stamped over ground, without gravity."""
-        return self._vector.fill(stamp, acceleration.enu)
-
-    @cached_property
-    def _odometry(self) -> Template:
-        changing = ("pose.pose.position", "pose.pose.orientation", "twist.twist")
-        return self._stamped(
-            *("nav_msgs/Odometry", self.ground, *changing),
-            child_frame_id=self.body,
-            pose={"pose": _POSE, "covariance": [0.0] * 36},
-            twist={"twist": _TWIST, "covariance": [0.0] * 36},
-        )
+        return self._acceleration.fill(stamp, acceleration.enu)
 
     def odometry(
         self,
@@ -160,27 +160,9 @@ class Messages:
         motion = (*in_body(turned, velocity.enu), *_flu(rates))
         return self._odometry.fill(stamp, place, turned, motion)
 
-    @cached_property
-    def _pose(self) -> Template:
-        changing = ("pose.position", "pose.orientation")
-        return self._stamped("geometry_msgs/PoseStamped", self.ground, *changing, pose=_POSE)
-
     def pose(self, stamp: Stamp, place: Vector, attitude: Attitude) -> bytes:
         """geometry_msgs/PoseStamped over ground; the place as in :meth:`odometry`."""
         return self._pose.fill(stamp, place, self._turned(attitude))
-
-    @cached_property
-    def _transform(self) -> Template:
-        transform = {"translation": _VECTOR, "rotation": _ROTATION}
-        named = {
-            "header": self._header(self.ground),
-            "child_frame_id": self.body,
-            "transform": transform,
-        }
-        inner = "transforms.0"
-        changing = (f"{inner}.transform.translation", f"{inner}.transform.rotation")
-        message = {"transforms": [named]}
-        return Template("tf2_msgs/TFMessage", message, f"{inner}.header.stamp", *changing)
 
     def transform(self, stamp: Stamp, place: Vector, attitude: Attitude) -> bytes:
         """tf2_msgs/TFMessage from the ground to the body; the place as in :meth:`odometry`."""
@@ -220,28 +202,15 @@ class Messages:
             stamp, turned or _LEVEL, _ZERO if rates is None else _flu(rates), felt or _ZERO
         )
 
-    @cached_property
-    def _magnetometer(self) -> Template:
-        return self._stamped("geometry_msgs/Vector3Stamped", self.body, "vector", vector=_VECTOR)
-
     def magnetometer(self, stamp: Stamp, found: Magnetometer) -> bytes:
         """geometry_msgs/Vector3Stamped: raw numbers without a unit, forward, left, up."""
         return self._magnetometer.fill(stamp, (found.x, -found.y, -found.z))
-
-    @cached_property
-    def _gimbal(self) -> Template:
-        name = "geometry_msgs/QuaternionStamped"
-        return self._stamped(name, self.ground, "quaternion", quaternion=_ROTATION)
 
     def gimbal(self, stamp: Stamp, gimbal: Gimbal) -> bytes:
         """geometry_msgs/QuaternionStamped: how the camera is turned over ground."""
         angles = gimbal.roll_deg, gimbal.pitch_deg, gimbal.yaw_deg
         turned = Attitude(*quaternion(*map(math.radians, angles)))
         return self._gimbal.fill(stamp, turned.enu_flu_xyzw)
-
-    @cached_property
-    def _battery(self) -> Template:
-        return self._stamped("sensor_msgs/BatteryState", self.body, "percentage", **_BATTERY)
 
     def battery(self, stamp: Stamp, battery: Battery) -> bytes:
         """sensor_msgs/BatteryState: the wire has the percentage alone; NaN beyond 100 %."""
@@ -411,6 +380,17 @@ TOPICS = {
 """The content of a bag: topic and message."""
 
 _MESSAGES = Messages("map", "base_link")
+_OF_ONE_RECORD: tuple[tuple[str, type[Any], Callable[[Stamp, Any], bytes]], ...] = (
+    ("/m100/velocity", Velocity, _MESSAGES.velocity),
+    ("/m100/acceleration", Acceleration, _MESSAGES.acceleration),
+    ("/m100/battery", Battery, _MESSAGES.battery),
+    ("/m100/joy", RemoteControl, _MESSAGES.joy),
+    (
+        "/m100/flight_status",
+        FlightStatus,
+        lambda _, status: encode("std_msgs/UInt8", {"data": status.status}),
+    ),
+)
 
 
 def write_bag(
@@ -478,17 +458,7 @@ def _messages_of(sample: Sample, stamp: Stamp) -> Iterator[tuple[str, bytes]]:
         yield "/m100/imu", made.imu(stamp, attitude, rates, acceleration)
     if attitude is not None and position is not None and position.is_possible:
         yield "/tf", made.transform(stamp, (0.0, 0.0, position.height_m), attitude)
-    velocity = sample.get(Velocity)
-    if velocity is not None:
-        yield "/m100/velocity", made.velocity(stamp, velocity)
-    if acceleration is not None:
-        yield "/m100/acceleration", made.acceleration(stamp, acceleration)
-    battery = sample.get(Battery)
-    if battery is not None:
-        yield "/m100/battery", made.battery(stamp, battery)
-    rc = sample.get(RemoteControl)
-    if rc is not None:
-        yield "/m100/joy", made.joy(stamp, rc)
-    status = sample.get(FlightStatus)
-    if status is not None:
-        yield "/m100/flight_status", encode("std_msgs/UInt8", {"data": status.status})
+    for topic, kind, make in _OF_ONE_RECORD:
+        record = sample.get(kind)
+        if record is not None:
+            yield topic, make(stamp, record)
