@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from importlib import import_module
+from typing import Any
 from warnings import warn
 
 from m100link.errors.base import M100Error
@@ -29,6 +31,17 @@ class UsageError(
     remedy="read what was seen: the same call is always refused, and nothing was sent",
 ):
     """The call itself is wrong; nothing was sent."""
+
+
+def of_extra(module: str, purpose: str, extra: str) -> Any:
+    """A module that needs packages of an extra. Raises UsageError: one is not installed."""
+    try:
+        return import_module(module)
+    except ModuleNotFoundError as error:
+        raise UsageError(
+            f"{purpose} needs {error.name}, which is not installed",
+            remedy=f"pip install '.[{extra}]' in a clone of m100link",
+        ) from None
 
 
 class NoRouter(

@@ -16,7 +16,7 @@ from importlib import import_module
 from typing import IO, Any, NamedTuple
 from zlib import crc32
 
-from m100link.errors import UsageError
+from m100link.errors.usage import of_extra
 from m100link.log.channels import RX, SCHEMAS, TX
 from m100link.log.damage import Losses
 
@@ -120,13 +120,7 @@ def mcap_module(name: str) -> Any:
 
     Raises ``UsageError``: it is not installed.
     """
-    try:
-        return import_module(f"mcap.{name}")
-    except ModuleNotFoundError as error:
-        raise UsageError(
-            f"a flight log needs {error.name}, which is not installed",
-            remedy="pip install '.[log]' in a clone of m100link",
-        ) from None
+    return of_extra(f"mcap.{name}", "a flight log", "log")
 
 
 def records(

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 from m100link.apps.bus import network
 from m100link.errors import NoRouter, UsageError
 from m100link.errors.texts import read_json
+from m100link.errors.usage import of_extra
 
 if TYPE_CHECKING:
     import zenoh
@@ -359,13 +360,9 @@ async def open_session(opening: Opening) -> AsyncIterator[ZenohBus]:
     Raises UsageError: the package is missing, the file or an option cannot be, a port is taken, or
     no router answered.
     """
-    try:
-        import zenoh
-    except ModuleNotFoundError as error:
-        raise UsageError(
-            f"{opening.purpose} needs {error.name}, which is not installed",
-            remedy=f"pip install '.[{opening.extra}]' in a clone of m100link",
-        ) from None
+    of_extra("zenoh", opening.purpose, opening.extra)
+    import zenoh
+
     config = _config(opening)
     mode = str(read_json(config.get_json("mode") or "null") or "peer")
     is_reported = False

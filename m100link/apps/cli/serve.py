@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import importlib
 import logging
 import math
 import os
@@ -33,6 +32,7 @@ from m100link.apps.cli.terminal import (
 from m100link.apps.station.config import ONLY_NAME, Settings, namespace_of, resolve
 from m100link.apps.station.log_output import FlightProgress, log_of, tell_elsewhere
 from m100link.errors import M100Error, UsageError
+from m100link.errors.usage import of_extra
 
 if TYPE_CHECKING:
     from m100link.apps.agent.messages import Event
@@ -117,14 +117,8 @@ async def run_station(
 
 def require_packages() -> None:
     """Look for the packages that serve pages. Raises UsageError: one is missing."""
-    try:
-        for package in ("cbor2", "starlette", "uvicorn", "websockets"):
-            importlib.import_module(package)
-    except ModuleNotFoundError as error:
-        raise UsageError(
-            f"the ground station needs {error.name}, which is not installed",
-            remedy="pip install '.[station]' in a clone of m100link",
-        ) from None
+    for package in ("cbor2", "starlette", "uvicorn", "websockets"):
+        of_extra(package, "the ground station", "station")
 
 
 Keys = Callable[[Any, asyncio.Event], contextlib.AbstractContextManager[None]]

@@ -6,7 +6,6 @@ import io
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import fields
-from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -18,6 +17,7 @@ from m100link.apps.cli.log import cannot_write, new_file, write_new
 from m100link.apps.cli.options import OUTPUT, Json
 from m100link.apps.cli.terminal import ExitCode, print_json
 from m100link.errors import BadSetpoint, UsageError
+from m100link.errors.usage import of_extra
 from m100link.log import read
 from m100link.log.channels import COMMAND
 from m100link.log.ros2 import joy_move
@@ -197,16 +197,12 @@ def _hearer(kind: str, topic: str) -> Hear | None:
 
 
 def _read_bag(path: Path) -> FlightRecording:
-    try:
-        rosbags = import_module("rosbags.highlevel")
-        kinds = import_module("rosbags.rosbag1"), import_module("rosbags.serde")
-    except ModuleNotFoundError:
-        raise UsageError(
-            "a bag of ROS 1 needs rosbags, which is not installed",
-            remedy="pip install '.[analysis]' in a clone of m100link",
-        ) from None
+    rosbags, rosbag1, serde = (
+        of_extra(f"rosbags.{name}", "a bag of ROS 1", "analysis")
+        for name in ("highlevel", "rosbag1", "serde")
+    )
     recording = FlightRecording(name=path.stem)
-    errors = rosbags.AnyReaderError, kinds[0].ReaderError, kinds[1].SerdeError, OSError, ValueError
+    errors = rosbags.AnyReaderError, rosbag1.ReaderError, serde.SerdeError, OSError, ValueError
     try:
         with rosbags.AnyReader([path]) as bag:
             heard = {one.id: _hearer(one.msgtype, one.topic) for one in bag.connections}
@@ -378,13 +374,7 @@ def _toml(found: Fit, start: str, flights: Sequence[tuple[str, list[SpanFlight]]
 
 def _drawn(found: Sequence[tuple[str, list[SpanFlight]]]) -> bytes:
     """Each signal as recorded and as flown, a column for each recording."""
-    try:
-        figures = import_module("matplotlib.figure")
-    except ModuleNotFoundError:
-        raise UsageError(
-            "a picture needs matplotlib, which is not installed",
-            remedy="pip install '.[analysis]' in a clone of m100link",
-        ) from None
+    figures = of_extra("matplotlib.figure", "a picture", "analysis")
     figure = figures.Figure(figsize=(12 * len(found), 12), layout="constrained", dpi=100)
     grid = figure.subplots(len(SIGNALS), len(found), squeeze=False, sharex="col")
     for column, (name, flights) in enumerate(found):

@@ -24,7 +24,6 @@ import socket
 from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Mapping, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager, suppress
 from dataclasses import dataclass
-from importlib import import_module
 from typing import Any
 
 from m100link.apps.agent.background import goes_on
@@ -34,6 +33,7 @@ from m100link.apps.station.config import Settings
 from m100link.apps.station.web.access_control import Access
 from m100link.apps.station.web.intake import Intake
 from m100link.errors import LinkError, M100Error, PortBusy, PortFailed, UsageError
+from m100link.errors.usage import of_extra
 from m100link.sim.orders import SimulatorOrders
 
 REACH_PAUSE = 0.5  # seconds between two looks whether an agent that has gone is there again
@@ -64,13 +64,7 @@ class FrontSpec:
 
     def load(self) -> Any:
         """Its module. Raises ``UsageError``: something that it needs is not installed."""
-        try:
-            return import_module(f"m100link.apps.station.{self.module}")
-        except ModuleNotFoundError as error:
-            raise UsageError(
-                f"{self.name} needs {error.name}, which is not installed",
-                remedy="pip install '.[station]' in a clone of m100link",
-            ) from None
+        return of_extra(f"m100link.apps.station.{self.module}", self.name, "station")
 
 
 def _one(port: int | None) -> Sequence[int] | None:

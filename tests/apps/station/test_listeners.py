@@ -15,7 +15,7 @@ import pytest
 from m100link.apps.station import listeners
 from m100link.apps.station.config import Settings
 from m100link.apps.station.listeners import FRONTS, Fronts, FrontSpec, Sockets, open_sockets
-from m100link.errors import LinkLost, M100Error, PortBusy, PortFailed, UsageError
+from m100link.errors import LinkLost, M100Error, PortBusy, PortFailed, UsageError, usage
 
 pytestmark = pytest.mark.anyio
 
@@ -151,7 +151,7 @@ def test_a_package_that_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> 
     def missing(_: str) -> SimpleNamespace:
         raise ModuleNotFoundError("No module named 'prometheus_client'", name="prometheus_client")
 
-    monkeypatch.setattr(listeners, "import_module", missing)
+    monkeypatch.setattr(usage, "import_module", missing)
     with pytest.raises(UsageError, match="metrics needs prometheus_client, which is not installed"):
         FRONTS["metrics"].load()
 
