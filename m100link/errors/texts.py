@@ -26,9 +26,15 @@ _MANY_DIGITS = re.compile(rf"[0-9]{{{_MOST_DIGITS}}}")
 _HALF = re.compile(r"\\u[dD][89a-fA-F]")
 
 
-def printable(text: str) -> str:
-    """A text for people: strangers' names are in it, and a terminal obeys some characters."""
-    return "".join(one if one.isprintable() else "\N{REPLACEMENT CHARACTER}" for one in text)
+def printable(text: str, *, keeps: str = "") -> str:
+    """A text for people: strangers' names are in it, and a terminal obeys some characters.
+
+    ``keeps``: those that stay, such as the end of a line.
+    """
+    if text.isprintable():
+        return text
+    lost = "\N{REPLACEMENT CHARACTER}"
+    return "".join(one if one.isprintable() or one in keeps else lost for one in text)
 
 
 def read_json(

@@ -159,6 +159,12 @@ class FrameLoss:
         return self.lost / (self.came + self.lost)
 
 
+def profile_of(counters: Message) -> FirmwareProfile | None:
+    """The firmware profile that a message of counters names; None: none that is known."""
+    name = counters.content().get("firmware")
+    return PROFILES.get(name) if isinstance(name, str) else None
+
+
 class FlightLog:
     """A log on disk. Each iterator reads it from its beginning.
 
@@ -261,10 +267,9 @@ class FlightLog:
         """The firmware profile by which telemetry was read; None when it was never known."""
         found = None
         for message in islice(self.messages(LINK), _ANSWERED_S):
-            name = message.content().get("firmware")
-            if name not in PROFILES:
+            found = profile_of(message)
+            if found is None:
                 raise _foreign(message.topic)
-            found = profile(name)
         return found
 
     def acceleration_by(self, firmware: FirmwareProfile) -> AccelerationMode | None:

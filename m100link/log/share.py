@@ -18,7 +18,7 @@ from m100link.geodesy import LocalFrame
 from m100link.link import Direction
 from m100link.link.statistics import LinkStatistics
 from m100link.log.channels import COMMAND, EVENT, LINK, Entry
-from m100link.log.reading import FlightLog, Message
+from m100link.log.reading import FlightLog, Message, profile_of
 from m100link.log.recorder import Batch, LogWriter
 from m100link.protocol import codes
 from m100link.protocol.commands.monitor import PushTelemetry
@@ -168,7 +168,7 @@ class _Cleaner:
     def counters(self, content: dict[str, Any]) -> dict[str, Any]:
         """Counters and the firmware."""
         found = {name: content[name] for name in _COUNTERS if _is_counted(content.get(name))}
-        firmware = content["firmware"] if content["firmware"] in PROFILES else ""
+        firmware = content["firmware"] if content["firmware"] in tuple(PROFILES) else ""
         return found | {"firmware": firmware, "acceleration": AccelerationMode.FUSED.value}
 
     def _kept(self, content: dict[str, Any]) -> dict[str, Any]:
@@ -239,7 +239,7 @@ def share(flight: FlightLog, stream: IO[bytes], *, firmware: str | None = None) 
     """
     known = None if firmware is None else profile(firmware)
     for message in flight.messages(LINK) if known is None else ():
-        known = PROFILES.get(message.content().get("firmware", ""), known)  # the last one
+        known = profile_of(message) or known  # the last one
     if known is None:
         raise flight.nameless("--firmware 1.0")
     cleaner, sequence, log = _Cleaner(), 0, LogWriter(stream, 10.0)

@@ -466,6 +466,10 @@ class _CommandReader:
             self._story.control.append(Span(name, since, at))
 
     def _count(self, at: float, content: dict[str, Any]) -> None:
+        shown = ("frames_received", "discarded_bytes", "repeats", "expired", "late_acks")
+        causes = content.get("discards", {}).values()
+        # Raises for counters of another writer.
+        sum((*causes, *(content.get(name, 0) for name in (*shown, "dropped_writes"))))
         self._story.line = content
         if self._counted is not None:
             last, before = self._counted

@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import asyncio
+import math
+import random
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from m100link import connect
+from m100link.errors import UsageError
 from m100link.log import read
-from m100link.log.picture import line_quality
+from m100link.log.picture import line_quality, page
 from m100link.log.reading import FrameLoss
 from m100link.log.report import Sentence, report
 from m100link.log.story import FlightSummary, read_story
 from tests.log.flight import URL
+from tests.log.test_share import written
 
 pytestmark = pytest.mark.anyio
 
@@ -161,3 +165,56 @@ async def test_a_version_that_comes_late_is_that_of_the_flight(tmp_path: Path) -
 
 def test_a_log_without_counters_has_a_quality_too() -> None:
     assert line_quality(FlightSummary("x")).startswith("0 frames damaged or cut off (0.0 %)")
+
+
+# -- logs of other writers, and with bits turned over ----------------------------------------------
+
+
+ESCAPE = "\x1b]0;x\x07\x1b[2J\n\u202e"
+VALUES: tuple[Any, ...] = (
+    *("", ESCAPE, None, True, -1, 2**63, 1e308, math.nan, math.inf, [], {}, [[]], [1, 2, 3]),
+    *("held", "releasing", "asked", "failed", "refused", "velocity", "rate", "ground", 72, 1.0),
+)
+NAMES_OF_FIELDS = (
+    *("before", "after", "why", "reason", "holder", "name", "is_there", "client", "by", "order"),
+    *("stage", "seen", "arguments", "setpoint", "waypoints", "text", "is_connected", "error"),
+    *("limits", "max_height_m", "mode", "x", "y", "z", "yaw", "frame", "earlier_s", "is_ack"),
+    *("direction", "session", "sequence", "command", "movement", "control_flag", "roll_or_x"),
+    *("ack", "discards", "round_trips", "acks", "discarded_bytes", "repeats", "frames_received"),
+)
+EVENTS = ("client", "lease", "control", "order", "setpoints", "plan", "text", "journal", "state",
+          "connection", "authority")  # fmt: skip
+
+
+def drawn(draw: random.Random, depth: int = 0) -> Any:
+    if depth < 3 and draw.random() < 0.3:
+        return {draw.choice(NAMES_OF_FIELDS): drawn(draw, depth + 1) for _ in range(4)}
+    return draw.choice(VALUES)
+
+
+def hostile(draw: random.Random) -> tuple[str, dict[str, Any]]:
+    content = {draw.choice(NAMES_OF_FIELDS): drawn(draw) for _ in range(draw.randrange(1, 10))}
+    topic = draw.choice(("/m100/event", "/m100/event", "/m100/command", "/m100/link"))
+    if topic == "/m100/event":
+        content["event"] = draw.choice(EVENTS)
+    elif topic == "/m100/command":
+        content["command"] = draw.choice(("move", "start_task", "get_version", drawn(draw)))
+    else:
+        content["firmware"] = "1.0" if draw.random() < 0.98 else drawn(draw)
+    return topic, content
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_no_content_of_a_log_raises_or_reaches_a_terminal(tmp_path: Path, seed: int) -> None:
+    print(f"{seed=}")  # noqa: T201 (of a failure)
+    draw = random.Random(seed)
+    messages = [hostile(draw) for _ in range(100)]
+    flight = written(tmp_path / "a.mcap", ("/m100/link", {"firmware": "1.0"}), *messages)
+    try:
+        story = read_story(flight)
+        said = report(flight, story)
+    except UsageError:  # it names a firmware that nobody knows
+        return
+    assert all(one.text.isprintable() and one.who.isprintable() for one in said)
+    assert line_quality(story)
+    assert page(story)

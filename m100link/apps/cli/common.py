@@ -18,6 +18,7 @@ from m100link.apps.cli.terminal import AS_IT_IS, ExitCode, LogOptions, panel
 from m100link.apps.station.config import ENVIRONMENT, Settings, resolve
 from m100link.apps.station.log_output import log_of
 from m100link.errors import UsageError
+from m100link.errors.texts import printable
 from m100link.link.url import parse_url
 from m100link.protocol.commands.activation import Credentials
 from m100link.protocol.firmware import PROFILES
@@ -27,10 +28,20 @@ if TYPE_CHECKING:
     from m100link.aircraft.connecting import Connecting, Recording
     from m100link.flight.guards import Envelope
 
-out = Console(highlight=False)
+
+class TextConsole(Console):
+    """A console that shows what it is given: no text of a file or a stranger steers a terminal."""
+
+    def print(self, *objects: Any, **options: Any) -> None:
+        """As rich does, with other characters in place of those that a terminal obeys."""
+        shown = (printable(one, keeps="\n\t") if isinstance(one, str) else one for one in objects)
+        super().print(*shown, **options)
+
+
+out = TextConsole(highlight=False)
 """Standard output: data."""
 
-err = Console(stderr=True, highlight=False)
+err = TextConsole(stderr=True, highlight=False)
 """Standard error: messages."""
 
 

@@ -26,6 +26,7 @@ from cyclopts import Group, Parameter
 
 from m100link import errors
 from m100link.errors import UsageError
+from m100link.errors.texts import printable
 
 _LOOK_S = 0.2
 
@@ -266,7 +267,7 @@ def complain(error: BaseException) -> int:
         text = text.replace(written, typed)
     if isinstance(error, errors.M100Error):
         text += f"\n  code:         {error.error_code}"
-    err.print(text, markup=False)
+    err.print(printable(text, keeps="\n\t"), markup=False)
     return exit_code(error)
 
 

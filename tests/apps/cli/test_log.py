@@ -20,6 +20,7 @@ from m100link.errors import LinkError, LinkLost, UsageError
 from m100link.log import read, recorder
 from m100link.sim.vehicle.activation import DEMO_KEY
 from tests.apps.cli.conftest import ROOT, CommandLine
+from tests.log.test_share import written
 from tests.waiting import PATIENCE
 
 pytest.importorskip("mcap", reason="the extra `log` is not installed")
@@ -353,3 +354,23 @@ def test_nothing_at_all_is_asked_about(cli: CommandLine) -> None:
     outcome = cli("log", "wireshark")
     assert outcome.status == ExitCode.USAGE
     assert "--install" in outcome.err
+
+
+@pytest.mark.parametrize("verb", ["info", "report", "compare", "recover", "share"])
+def test_no_text_of_a_file_steers_a_terminal(cli: CommandLine, tmp_path: Path, verb: str) -> None:
+    """Its topics, reasons and errors: strangers write files, too."""
+    bad = "\x1b]0;x\x07\x1b[2J\n\u202e"
+    path = str(tmp_path / "a.mcap")
+    written(
+        Path(path),
+        ("/m100/link", {"firmware": "1.0", "discards": {bad: 3}}),
+        ("/m100/event", {"event": "authority", "before": "held", "after": bad, "reason": bad}),
+        ("/m100/event", {"event": "connection", "is_connected": False, "error": bad}),
+        ("/m100/command", {"command": bad, "is_ack": False, "direction": "tx", "session": 2,
+                           "sequence": 1, "task": bad}),
+        (bad, {}),
+    )  # fmt: skip
+    outcome = cli("log", verb, *([path] * (1 + (verb == "compare"))))
+    assert outcome.out
+    for text in (outcome.out, outcome.err):
+        assert not [one for one in text if not one.isprintable() and one != "\n"]
