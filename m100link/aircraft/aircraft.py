@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 from collections import deque
 from collections.abc import Awaitable, Callable, Iterable
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 from m100link.aircraft.activation import ActivationProgress, activate
 from m100link.aircraft.payload import AircraftCamera, AircraftGimbal
 from m100link.aircraft.rates import set_telemetry_rates
-from m100link.errors import CommandRefused, LinkError, LossReason, UsageError
+from m100link.errors import CommandRefused, LinkError, LinkLost, LossReason, UsageError
 from m100link.errors.base import of_the_system
 from m100link.flight.authority import Authority, AuthorityInput, AuthorityState
 from m100link.flight.handover import release_authority
@@ -87,6 +88,7 @@ A = TypeVar("A")
 
 # The modules that fly are loaded when a program asks for control, before it has any: a program that
 # listens needs none of them. Addresses stand for missions until the aircraft reports one.
+ENDS_S = 0.05  # the log of a lost line takes notes for so long
 _MOST_NOTES = 500  # that wait for the log
 _MISSION_STATUS, _WAYPOINT_EVENT = Address(0x02, 0x03), Address(0x02, 0x04)
 
@@ -160,8 +162,13 @@ class Aircraft:
             await self._claim.close()
         finally:
             await self.link.close()
-            for end in self._at_end:
-                await end()
+            try:
+                if self._at_end and isinstance(self.link.failure, LinkLost):
+                    # The program hears of it now, and its notes belong to the log of this line.
+                    await asyncio.sleep(ENDS_S)
+            finally:
+                for end in self._at_end:
+                    await end()
 
     @property
     def is_connected(self) -> bool:

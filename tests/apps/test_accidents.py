@@ -93,6 +93,7 @@ class Truth:
         self.damaged_bytes = 0  # of frames that were damaged on their way to the host
         self.holders: list[tuple[float, str]] = []
         self.caused_at = self.cut_at = math.nan
+        self.silent_at = math.inf  # from then on nothing comes to the host
         # What the script did, or had done: patterns, in their order.
         self.changes: list[str] = []  # why control changed
         self.last_order = ("", "")  # before the cause: by whom, which
@@ -248,6 +249,8 @@ class Unplugged(Staged):
         front.aircraft.unplug()
         truth.holds("", "went away|link")
         truth.ended_by = "The connection ended: sim:// went away"
+        truth.refused.append((self.name, "the aircraft is not connected"))
+        truth.silent_at = truth.now()
 
 
 class MissionRefused(Staged):
@@ -356,7 +359,7 @@ class AgentKilled(Staged):
         truth.cause()
         await front.lose_agent()
         truth.ended_by = "telemetry ended"
-        truth.cut_at = truth.now()
+        truth.silent_at = truth.cut_at = truth.now()
 
 
 ACCIDENTS = (
@@ -433,8 +436,6 @@ class Investigator:
         [self.info] = m100link("log", "info", str(path), "--json")
         self.at_s, self.end_s = at_s, min(end_s, self.info["duration_s"] + 0.01)
         self.said = [one for one in said if one["at_s"] <= self.end_s]
-        old = [one for one in self.info["alarms"] if one["name"] == "link_old"]
-        self.silent_s = old[-1]["begin_s"] if old else self.end_s  # until then telemetry came
 
     def of(self, *kinds: str) -> list[dict[str, Any]]:
         return [one for one in self.said if one["kind"] in kinds]
@@ -573,7 +574,7 @@ def test_what_was_refused_to_whom_and_why(flight: Flight, asked: Investigator) -
 
 def test_was_the_line_good(flight: Flight, asked: Investigator) -> None:
     truth, line = flight.truth, asked.info["line"]
-    last = truth.at(asked.silent_s + flight.began_at - 0.02)
+    last = truth.at(min(asked.end_s + flight.began_at, truth.silent_at) - 0.02)
     counted = truth.at(last.at - 1.0)  # at latest: the counters come once a second
     # Not all of a damaged frame: what another frame may begin with is looked into.
     assert 0.9 * counted.damaged_bytes <= line["discarded_bytes"] <= last.damaged_bytes
@@ -619,7 +620,7 @@ def test_how_far_did_it_move_and_who_was_lost(flight: Flight, asked: Investigato
     assert bool(gone) == (truth.lost_front is not None), gone
     assert truth.lost_front is None or re.search(truth.lost_front, gone[0])
     if rest is None:  # as far as the file goes
-        assert truth.at(asked.silent_s + flight.began_at).speed > 0.3
+        assert truth.at(truth.silent_at).speed > 0.3
         assert "It was moving when telemetry" in asked.texts(0.0, asked.end_s, "motion")
         return
     after = [one for one in truth.seen if one.at >= truth.caused_at]

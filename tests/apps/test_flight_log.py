@@ -65,10 +65,10 @@ def notes_of(path: Path) -> Notes:
 
 
 def recorded(folder: Path) -> list[Notes]:
-    """The notes of each connection, in their order."""
-    paths = sorted(folder.iterdir(), key=lambda path: (len(path.name), path.name))
-    # The last may be that of a connection which had just begun when the agent ended.
-    return [notes_of(path) for path in paths if path.stat().st_size]
+    """The notes of each connection, in their order: names of files are of another clock."""
+    # One may be that of a connection which had just begun when the agent ended.
+    found = [notes_of(path) for path in folder.iterdir() if path.stat().st_size]
+    return sorted((notes for notes in found if notes), key=lambda notes: notes[0]["at"])
 
 
 def those(notes: Notes, event: str, **values: Any) -> Notes:
@@ -265,6 +265,10 @@ async def test_a_line_that_is_lost_in_flight_has_its_end_in_the_file(
     first, second, *_ = recorded(folder)
     [control] = those(first, "authority", before="held")
     assert control["reason"] == "link"
+    [lost] = those(first, "control", before="held")
+    assert lost["why"] == "the link is gone"
+    assert those(first, "journal", text="connection lost: sim:// went away")
+    assert not [one for one in second if one.get("earlier_s")]
     [end] = those(first, "connection")
     assert end["error"].startswith("sim:// went away")
     assert those(first, "setpoints", by="Anna")

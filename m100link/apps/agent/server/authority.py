@@ -252,7 +252,8 @@ class AuthorityManager:
             self._lost(aircraft, error, granted)
         except errors.M100Error as error:
             is_refusal = isinstance(error, errors.AuthorityRefused)
-            self.feed(HoldingInput.REFUSED if is_refusal else HoldingInput.FAILED)
+            is_lost = isinstance(error, errors.LinkLost)
+            self.feed(_I.REFUSED if is_refusal else _I.LINK_LOST if is_lost else _I.FAILED)
             if granted.done():
                 self._journal.note(f"control ended: {error.seen}", "error")
                 self._tell_mission(error.seen, is_seen=not isinstance(error, _UNSEEN))
