@@ -66,22 +66,25 @@ class Panel(NamedTuple):
 def panels(story: FlightSummary) -> list[Panel]:
     """The panels that are drawn over time."""
     curves = story.curves
+    sent = {
+        "height": PlotLine("sent height", "#d64545", curves.sent_height_m),
+        "speed": PlotLine("sent", "#d64545", curves.sent_speed_m_s),
+        "climb": PlotLine("sent climb", "#8a5a00", curves.sent_climb_m_s),
+    }
+    asked = {name: (line,) if len(line.curve) else () for name, line in sent.items()}
     return [
         Panel(
             "Height, m",
-            (
-                PlotLine("height", "#3b7dd8", curves.height_m),
-                PlotLine("sent", "#9ab8e8", curves.sent_height_m),
-            ),
+            (PlotLine("height", "#3b7dd8", curves.height_m), *asked["height"]),
             (0.0, 2.0),
         ),
         Panel(
             "Speed, m/s",
             (
                 PlotLine("over ground", "#3b7dd8", curves.ground_speed_m_s),
-                PlotLine("sent", "#9ab8e8", curves.sent_speed_m_s),
+                *asked["speed"],
                 PlotLine("climb", "#e8a33d", curves.climb_m_s),
-                PlotLine("sent climb", "#f2d29c", curves.sent_climb_m_s),
+                *asked["climb"],
             ),
             (0.0, 1.0),
         ),

@@ -15,6 +15,7 @@ from mcap.writer import Writer
 from m100link.log import read
 from m100link.log import story as story_module
 from m100link.log.channels import Curve
+from m100link.log.picture import panels
 from m100link.log.reading import Message
 from m100link.log.story import (
     FlightPath,
@@ -25,6 +26,7 @@ from m100link.log.story import (
     _SampleReader,
     read_story,
 )
+from m100link.protocol.firmware import profile
 from m100link.protocol.items import BY_RECORD
 from m100link.protocol.records import (
     Attitude,
@@ -217,6 +219,41 @@ def test_a_listener_hears_setpoints_as_often_as_it_asks() -> None:
     assert heard == [1.0, 1.5, 2.0]
     assert story.streams == [Span("move", 1.0, 2.375, "12 × move")]
     assert story.duration_s == 2.375
+
+
+@pytest.mark.parametrize(
+    ("flag", "speed", "climb", "height"),
+    [  # the control flag (document 3.2): bits 7 and 6 horizontal, 5 and 4 vertical
+        (0b0100_1000, 5.0, -1.5, None),
+        (0b0100_1010, 5.0, -1.5, None),
+        (0b0101_1000, 5.0, None, -1.5),
+        (0b1000_1000, None, -1.5, None),
+        (0b0000_0000, None, -1.5, None),
+        (0b0010_1000, None, None, None),
+        (0b1100_0000, None, None, None),  # no mode
+    ],
+)
+def test_a_curve_has_what_setpoints_ask_for(
+    flag: int, speed: float | None, climb: float | None, height: float | None
+) -> None:
+    story = FlightSummary("made")
+    reader = _CommandReader(story, 100.0, 0.5, None, profile("1.0"))
+    movement = {"control_flag": flag, "roll_or_x": 3.0, "pitch_or_y": -4.0,
+                "throttle_or_z": -1.5, "yaw": 0.0}  # fmt: skip
+    data = json.dumps({"command": "move", "movement": movement}, separators=(",", ":")).encode()
+    for step in range(30):
+        reader.hear_move(Message("/m100/command", 101.0 + step / 50, 0.0, data))
+    reader.end()
+    curves = story.curves
+    for curve, value in (
+        (curves.sent_speed_m_s, speed),
+        (curves.sent_climb_m_s, climb),
+        (curves.sent_height_m, height),
+    ):
+        found = list(curve.points())
+        assert [one for _, one in found] == [value] * (0 if value is None else 6)
+    drawn = {line.name for panel in panels(story) for line in panel.lines}
+    assert ("sent" in drawn, "sent height" in drawn) == (speed is not None, height is not None)
 
 
 # -- telemetry -------------------------------------------------------------------------------------
