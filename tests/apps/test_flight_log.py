@@ -19,6 +19,7 @@ from m100link.apps.agent.lease import Lease
 from m100link.apps.agent.server import connection as agent_connection
 from m100link.apps.agent.server.server import AgentServer
 from m100link.apps.agent.transports import memory_channels
+from m100link.apps.mavlink.translator.numbers import MissionResult, MissionType
 from m100link.errors import M100Error
 from m100link.log import Recorder, read
 from m100link.log.channels import EVENT
@@ -34,6 +35,7 @@ from tests.apps.every_front import (
     Ros2,
     Rosbridge,
 )
+from tests.apps.mavlink.translator.test_missions import Exchange, item
 from tests.rig import NORTH
 
 pytestmark = pytest.mark.anyio
@@ -274,3 +276,20 @@ async def test_a_line_that_is_lost_in_flight_has_its_end_in_the_file(
     assert those(first, "setpoints", by="Anna")
     both = [one["text"] for one in those([*first, *second], "journal")]
     assert both.count("connection lost: sim:// went away") == 1
+
+
+async def test_the_log_of_a_new_connection_has_the_fence_in_force(folder: Path) -> None:
+    user = Mavlink()
+    async with user.open():
+        fence = [item(5003, 0.01, 0.01, param1=15.0)]
+        found = await Exchange(user.rig.ground).upload(fence, MissionType.FENCE)
+        assert found is MissionResult.ACCEPTED
+        await user.passes(1.0)
+        user.aircraft.unplug()
+        await user.passes(1.0)
+        user.aircraft.replug()
+        await user.passes(6.0)
+    first, second, *_ = recorded(folder)
+    said = "MAVLink 245 at 127.0.0.1:14540 uploaded a fence of 1 items: NAV_FENCE_CIRCLE_INCLUSION"
+    assert [one["text"] for one in those(first, "text") if said in one["text"]]
+    assert [one["text"] for one in those(second, "text") if f"in force: {said}" in one["text"]]

@@ -129,7 +129,11 @@ async def test_nothing_of_the_original_is_in_the_copy(tmp_path: Path, seed: int)
                 [one for one in found if is_near(one, place)] for place in (latitude, longitude)
             ]
             assert not (hits[0] and hits[1]), (message.topic, hits)
-    # The shape: each place is where it was, seen from the first.
+    assert_same_shape(flight, shared, firmware)
+
+
+def assert_same_shape(flight: FlightLog, shared: FlightLog, firmware: str) -> None:
+    """Each place is where it was, seen from the first, and each setpoint is what it was."""
     stories = [read_story(one, firmware=firmware) for one in (flight, shared)]
     before, after = (one.path for one in stories)
     # The copy begins with its first message, which is not the first of the original.

@@ -120,7 +120,8 @@ class MavlinkVehicle:
         self._breach_m: float | None = None  # the least since it is outside; None inside
         # Peers that wait for the answer to arming, and when each last heard that it takes time.
         self._arming: dict[Peer, float] = {}
-        self._beaten_at = -math.inf
+        self._in_force: dict[int, str] = {}  # uploads, for the flight log
+        self._was_connected, self._beaten_at = True, -math.inf
         self._beaten: tuple[object, ...] = ()
         self._handlers = self._by_name()
 
@@ -189,8 +190,18 @@ class MavlinkVehicle:
         """Let the flight log have the mission or the fence that is in force, or why it is not."""
         name = f"a {MissionType(kind).name.lower()} of {len(items)} items"
         said = "; ".join(str(read_command(one, peer)) for one in items)
-        text = f"did not get {name}: {refusal}" if refusal else f"uploaded {name}: {said}"
-        self._note(f"{peer.name} {text}")
+        if refusal:
+            self._note(f"{peer.name} did not get {name}: {refusal}")
+        else:
+            self._in_force[kind] = f"{peer.name} uploaded {name}: {said}"
+            self._note(self._in_force[kind])
+
+    def _log_again(self) -> None:
+        """A new connection has a log of its own, which has to have what is in force, too."""
+        before, self._was_connected = self._was_connected, self.world.known.view.is_connected
+        if self._was_connected and not before:
+            for text in self._in_force.values():
+                self._note(f"in force: {text}")
 
     def _note(self, text: str) -> None:
         self.world.known.note(text, LOG_ONLY)
@@ -448,6 +459,7 @@ class MavlinkVehicle:
         ``now``: s. ``lost``: whether a peer is, at a time.
         """
         self.world.look()
+        self._log_again()
         operator = self.manager.operator
         if operator is not None and lost(operator, now):
             self.manager.operator_lost()
