@@ -37,7 +37,7 @@ from m100link.apps.mavlink.translator.codec import (
     write_frame,
 )
 from m100link.apps.mavlink.translator.numbers import AUTOPILOT_PX4
-from m100link.apps.mavlink.translator.vehicle import MavlinkVehicle
+from m100link.apps.mavlink.translator.vehicle import COMPONENT, MavlinkVehicle
 from m100link.errors import UsageError
 from m100link.errors.texts import read_json
 from m100link.link.keyfile import replace_file
@@ -122,8 +122,9 @@ class _Craft:
         self.vehicle = MavlinkVehicle(agent, session, system, autopilot, logs)
         flights = self.vehicle.flights
         self.executor = OrderExecutor(agent, self.vehicle.world, self.vehicle.manager, flights)
-        # By address: a peer that counts gaps must not count messages to another one.
-        self.sequences: dict[Address, int] = {}
+        # By address and our component: a peer that counts gaps must not count messages to another
+        # one, or of another component.
+        self.sequences: dict[tuple[Address, int], int] = {}
         agent.on_event.append(self.vehicle.event)
         session.on_refused = self.vehicle.manager.steer_refused
         agent.on_mission_report.append(flights.report)
@@ -258,8 +259,8 @@ class Bridge:
         self._share_out(now)
         audience = self.peers.audience(now)
         for craft in self._crafts:
-            if craft.sequences.keys() != audience.keys():
-                craft.sequences = {one: craft.sequences.get(one, 0) for one in audience}
+            for key in [key for key in craft.sequences if key[0] not in audience]:
+                del craft.sequences[key]
             craft.vehicle.advance(now, audience, self.peers.is_lost)
             craft.executor.advance()
         self._flush(now)
@@ -291,7 +292,8 @@ class Bridge:
                 self._send(bytes(data), address)
 
     def _frame(self, craft: _Craft, message: MavlinkMessage, address: Address) -> bytes | None:
-        sequence = craft.sequences[address] = craft.sequences.get(address, 0) + 1
+        key = address, message.component or COMPONENT
+        sequence = craft.sequences[key] = craft.sequences.get(key, 0) + 1
         try:
             return write_frame(
                 message,

@@ -28,6 +28,7 @@ from m100link.apps.mavlink.translator.orders import (
     MissionCommand,
     ModeRequest,
     ObtainControl,
+    PayloadOrder,
     ReleaseControl,
     ReturnToLaunch,
     TakeOffAndClimb,
@@ -72,6 +73,7 @@ class OrderExecutor:
         self._owes_a_stop = False
         # Orders to a mission go out in the order in which they were wanted.
         self._telling = asyncio.Lock()
+        self._activating = asyncio.Lock()
         self._doing: dict[type[Any], Callable[[Any, Lease | None], Awaitable[None]]] = {
             ObtainControl: self._arm,
             ReleaseControl: self._disarm,
@@ -91,6 +93,8 @@ class OrderExecutor:
                 self._steer(order)
             elif isinstance(order, MissionCommand):
                 self._agent.background.spawn(self._tell(order), order.order.label)
+            elif isinstance(order, PayloadOrder):
+                self._agent.background.spawn(self._use(order), order.order.label)
             elif isinstance(order, Drop):
                 self._drop()
             elif isinstance(order, ObtainControl):
@@ -127,6 +131,17 @@ class OrderExecutor:
                     self._manager.way_made()
             except errors.M100Error as error:
                 self._flights.failed(command, error)
+
+    async def _use(self, payload: PayloadOrder) -> None:
+        error: errors.M100Error | None = None
+        try:
+            async with self._activating:  # they obey without authority, and not without this
+                if not self._agent.state.is_activated:
+                    await self._session.ask(orders.Activate())
+            await self._session.ask(payload.order)
+        except errors.M100Error as met:
+            error = met
+        payload.done(error)
 
     def _replace(self, order: VehicleOrder) -> None:
         if self._work is not None:

@@ -28,7 +28,7 @@ from m100link.apps.mavlink.translator.codec import (
     write_frame,
 )
 from m100link.apps.mavlink.translator.numbers import MavCommand, MavResult
-from m100link.apps.mavlink.translator.vehicle_state import MODES, Mode, VehicleState
+from m100link.apps.mavlink.translator.vehicle_state import CAMERA, MODES, Mode, VehicleState
 from m100link.protocol.records import FlightPhase, FlightStatus, Position
 from m100link.sim.clock import virtual_clock_loop
 from m100link.sim.ports.driver import Driver
@@ -51,11 +51,14 @@ class Ground:
     def __init__(self, rig: Rig, address: Address = GCS, system: int = 245) -> None:
         self.rig, self.address, self.system = rig, address, system
         self.heard: list[MavlinkMessage] = []
+        self.cameras: list[MavlinkMessage] = []  # heartbeats of the camera
         self.is_silent = False
         rig.grounds.append(self)
 
     def hear(self, data: bytes) -> None:
-        self.heard += MessageReader(data, signer=self.rig.ground_signer, now=self.rig.stamp())
+        for one in MessageReader(data, signer=self.rig.ground_signer, now=self.rig.stamp()):
+            is_cameras = one.name == "HEARTBEAT" and one.component == CAMERA
+            (self.cameras if is_cameras else self.heard).append(one)
 
     def send(self, message_name: str, **fields: Any) -> None:
         self.rig.sequence += 1
@@ -72,12 +75,13 @@ class Ground:
         if not self.is_silent:
             self.send("HEARTBEAT", type=6, autopilot=8)
 
-    def command(self, command: int, *parameters: float, target: int = 1) -> None:
+    def command(
+        self, command: int, *parameters: float, target: int = 1, component: int = 1
+    ) -> None:
         given = (*parameters, *(math.nan,) * (7 - len(parameters)))
         named = {f"param{place}": value for place, value in enumerate(given, 1)}
-        self.send(
-            "COMMAND_LONG", command=command, target_system=target, target_component=1, **named
-        )
+        to = {"target_system": target, "target_component": component}
+        self.send("COMMAND_LONG", command=command, **to, **named)
 
     def all(self, name: str) -> list[MavlinkMessage]:
         return [one for one in self.heard if one.name == name]
@@ -96,16 +100,19 @@ class Ground:
     def armed(self) -> bool:
         return bool(self.last("HEARTBEAT")["base_mode"] & 128)
 
-    async def ask(self, command: int, *parameters: float, target: int = 1) -> MavResult:
-        """Give a command; what it was answered in the end."""
+    async def ask(
+        self, command: int, *parameters: float, target: int = 1, component: int = 1
+    ) -> MavResult:
+        """Give a command; what that component answered in the end."""
         known = len(self.heard)
-        self.command(command, *parameters, target=target)
+        self.command(command, *parameters, target=target, component=component)
 
         def answers() -> list[MavResult]:
             return [
                 MavResult(one["result"])
                 for one in self.heard[known:]
-                if one.name == "COMMAND_ACK" and one["command"] == command
+                if (one.name, one.component) == ("COMMAND_ACK", component)
+                and one["command"] == command
             ]
 
         await self.rig.until(lambda: any(one is not MavResult.IN_PROGRESS for one in answers()))

@@ -113,6 +113,36 @@ DEFINITIONS = """
 244 MESSAGE_INTERVAL: i32 interval_us, u16 message_id
 245 EXTENDED_SYS_STATE: u8 vtol_state, u8 landed_state
 253 STATUSTEXT: u8 severity, char[50] text | u16 id, u8 chunk_seq
+259 CAMERA_INFORMATION: u32 time_boot_ms, u32 firmware_version, f32 focal_length, f32
+    sensor_size_h, f32 sensor_size_v, u32 flags, u16 resolution_h, u16 resolution_v, u16
+    cam_definition_version, u8[32] vendor_name, u8[32] model_name, u8 lens_id, char[140]
+    cam_definition_uri | u8 gimbal_device_id, u8 camera_device_id
+260 CAMERA_SETTINGS: u32 time_boot_ms, u8 mode_id | f32 zoomLevel, f32 focusLevel, u8
+    camera_device_id
+261 STORAGE_INFORMATION: u32 time_boot_ms, f32 total_capacity, f32 used_capacity, f32
+    available_capacity, f32 read_speed, f32 write_speed, u8 storage_id, u8 storage_count, u8
+    status | u8 type, char[32] name, u8 storage_usage
+262 CAMERA_CAPTURE_STATUS: u32 time_boot_ms, f32 image_interval, u32 recording_time_ms, f32
+    available_capacity, u8 image_status, u8 video_status | i32 image_count, u8 camera_device_id
+280 GIMBAL_MANAGER_INFORMATION: u32 time_boot_ms, u32 cap_flags, f32 roll_min, f32 roll_max, f32
+    pitch_min, f32 pitch_max, f32 yaw_min, f32 yaw_max, u8 gimbal_device_id
+281 GIMBAL_MANAGER_STATUS: u32 time_boot_ms, u32 flags, u8 gimbal_device_id, u8
+    primary_control_sysid, u8 primary_control_compid, u8 secondary_control_sysid, u8
+    secondary_control_compid
+282 GIMBAL_MANAGER_SET_ATTITUDE: u32 flags, f32[4] q, f32 angular_velocity_x, f32
+    angular_velocity_y, f32 angular_velocity_z, u8 target_system, u8 target_component, u8
+    gimbal_device_id
+283 GIMBAL_DEVICE_INFORMATION: u64 uid, u32 time_boot_ms, u32 firmware_version, u32
+    hardware_version, f32 roll_min, f32 roll_max, f32 pitch_min, f32 pitch_max, f32 yaw_min, f32
+    yaw_max, u16 cap_flags, u16 custom_cap_flags, char[32] vendor_name, char[32] model_name,
+    char[32] custom_name | u8 gimbal_device_id
+285 GIMBAL_DEVICE_ATTITUDE_STATUS: u32 time_boot_ms, f32[4] q, f32 angular_velocity_x, f32
+    angular_velocity_y, f32 angular_velocity_z, u32 failure_flags, u16 flags, u8 target_system,
+    u8 target_component | f32 delta_yaw, f32 delta_yaw_velocity, u8 gimbal_device_id
+287 GIMBAL_MANAGER_SET_PITCHYAW: u32 flags, f32 pitch, f32 yaw, f32 pitch_rate, f32 yaw_rate, u8
+    target_system, u8 target_component, u8 gimbal_device_id
+288 GIMBAL_MANAGER_SET_MANUAL_CONTROL: u32 flags, f32 pitch, f32 yaw, f32 pitch_rate, f32
+    yaw_rate, u8 target_system, u8 target_component, u8 gimbal_device_id
 345 PARAM_ERROR: i16 param_index, u8 target_system, u8 target_component, char[16] param_id, u8
     error
 360 ORBIT_EXECUTION_STATUS: u64 time_usec, f32 radius, i32 x, i32 y, f32 z, u8 frame

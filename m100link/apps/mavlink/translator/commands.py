@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from enum import Enum
 
 from m100link.apps.agent import orders
 from m100link.apps.agent.orders import GuidedOrder
 from m100link.apps.agent.preview import preview, preview_plan
-from m100link.apps.mavlink.translator.codec import LAYOUTS, MavlinkMessage, Peer
+from m100link.apps.mavlink.translator.codec import LAYOUTS, Peer
 from m100link.apps.mavlink.translator.flight_mode_manager import FlightModeManager
 from m100link.apps.mavlink.translator.numbers import (
     RELATIVE,
@@ -21,6 +22,7 @@ from m100link.apps.mavlink.translator.numbers import (
     Severity,
 )
 from m100link.apps.mavlink.translator.orders import (
+    Asked,
     FlightSequence,
     HoldPosition,
     LandInPlace,
@@ -30,9 +32,11 @@ from m100link.apps.mavlink.translator.orders import (
     TakeOffAndClimb,
     VehicleOrder,
 )
+from m100link.apps.mavlink.translator.payload import CAMERA_MESSAGES, Payload
 from m100link.apps.mavlink.translator.route import Route
 from m100link.apps.mavlink.translator.telemetry import NUMBERS, STREAMS, Rates
 from m100link.apps.mavlink.translator.vehicle_state import (
+    CAMERA,
     Mode,
     VehiclePhase,
     VehicleState,
@@ -43,36 +47,6 @@ from m100link.errors import GuardRefused, UsageError
 
 _Place = tuple[float, float]  # latitude and longitude, degrees
 _ORBIT_TURNS = 200.0
-_NO_PLACE = 0x7FFFFFFF
-
-
-@dataclass(frozen=True, slots=True)
-class Asked:
-    command: int
-    parameters: tuple[float, float, float, float]  # the first four, NaN where nothing is said
-    peer: Peer
-    x: float = math.nan  # latitude, °, or the fifth parameter
-    y: float = math.nan  # longitude, °, or the sixth
-    z: float = math.nan  # altitude, or the seventh
-    # The zero of the altitude: sea level where the message does not say it.
-    frame: int = MavFrame.GLOBAL
-
-    def __str__(self) -> str:
-        name = next((one.name for one in MavCommand if one == self.command), str(self.command))
-        values = [*self.parameters, self.x, self.y, self.z]
-        said = ", ".join("" if math.isnan(one) else f"{one:.10g}" for one in values)
-        return f"{name}({said.rstrip(', ')})"
-
-
-def read_command(message: MavlinkMessage, peer: Peer) -> Asked:
-    """COMMAND_LONG or COMMAND_INT."""
-    four = tuple(message[f"param{place}"] for place in range(1, 5))
-    if message.name == "COMMAND_LONG":
-        x, y, z, frame = message["param5"], message["param6"], message["param7"], MavFrame.GLOBAL
-    else:
-        raw, z, frame = (message["x"], message["y"]), message["z"], message["frame"]
-        x, y = (math.nan if one == _NO_PLACE else one / 1e7 for one in raw)
-    return Asked(message["command"], four, peer, x, y, z, frame)
 
 
 class CommandProtocol:
@@ -86,10 +60,11 @@ class CommandProtocol:
         rates: Rates,  # how often telemetry is sent, which each peer may ask for
         *,
         tell: Callable[[Severity, str], None],
-        # Sends a message by its number to the peer; False where there is none.
-        request: Callable[[int, float, Peer, float], bool],
+        # Sends a message of a component (0: any) by its number to the peer; False if it has none.
+        request: Callable[[int, float, Peer, float, int], bool],
         # Makes the mode request that flies the mission; None where there is none.
         mission: Callable[[Peer, int | None], ModeRequest | None],
+        payload: Payload,  # camera and gimbal
         # Why nobody may fly from a place (None: from here) to another, or around it with a radius.
         fence: Callable[[_Place | None, _Place, float], str],
     ) -> None:
@@ -100,6 +75,7 @@ class CommandProtocol:
         self._tell = tell
         self._request = request
         self._mission = mission
+        self.payload = payload
         self._fence = fence
         # What DO_CHANGE_SPEED said, until the next flight is over.
         self._speed: float | None = None
@@ -107,7 +83,7 @@ class CommandProtocol:
     def carry_out(self, asked: Asked, now: float) -> MavResult | None:
         """The answer; None while arming takes time."""
         row = COMMANDS.get(asked.command)
-        if row is None:
+        if row is None or not self._is_of(row, asked.component):
             return MavResult.UNSUPPORTED
         if any(map(math.isinf, (*asked.parameters, asked.x, asked.y, asked.z))):
             # NaN says that nothing is said; infinity has no meaning in any command.
@@ -118,6 +94,12 @@ class CommandProtocol:
         except (UsageError, GuardRefused) as error:
             self._tell(Severity.WARNING, error.seen)
             return MavResult.DENIED
+
+    def _is_of(self, row: CommandRow, component: int) -> bool:
+        """Whether that component has the command, and the aircraft what it is for."""
+        if row.part in (CommandPart.AUTOPILOT, CommandPart.GIMBAL) and component == CAMERA:
+            return False
+        return row.part in (CommandPart.AUTOPILOT, CommandPart.ALL) or self._world.has_payload
 
     # -- arming and modes ------------------------------------------------------------------------
 
@@ -404,7 +386,7 @@ class CommandProtocol:
         number = asked.parameters[0]
         is_sent = math.isfinite(number) and int(number) in NUMBERS
         wanted = LAYOUTS["MESSAGE_INTERVAL"].number
-        if is_sent and self._request(wanted, number, asked.peer, now):
+        if is_sent and self._request(wanted, number, asked.peer, now, 0):
             return MavResult.ACCEPTED
         return MavResult.UNSUPPORTED
 
@@ -413,22 +395,33 @@ class CommandProtocol:
         number, parameter = asked.parameters[:2]
         if not math.isfinite(number):
             return MavResult.DENIED
-        if self._request(int(number), parameter, asked.peer, now):
+        if self._request(int(number), parameter, asked.peer, now, asked.component):
             return MavResult.ACCEPTED
         # One that is known, and says nothing now, may be asked for again.
-        is_known = NUMBERS.get(int(number)) in STREAMS
+        stream = STREAMS.get(NUMBERS.get(int(number), ""))
+        is_known = stream is not None and asked.component in (0, stream.component)
+        if stream is not None and stream.is_of_payload and not self._world.has_payload:
+            is_known = False
         return MavResult.TEMPORARILY_REJECTED if is_known else MavResult.UNSUPPORTED
 
     def request_home(self, asked: Asked, now: float) -> MavResult:
         """GET_HOME_POSITION."""
         wanted = LAYOUTS["HOME_POSITION"].number
-        is_sent = self._request(wanted, 0.0, asked.peer, now)
+        is_sent = self._request(wanted, 0.0, asked.peer, now, 0)
         return MavResult.ACCEPTED if is_sent else MavResult.TEMPORARILY_REJECTED
 
     def request_version(self, asked: Asked, now: float) -> MavResult:
         """REQUEST_AUTOPILOT_CAPABILITIES."""
-        self._request(LAYOUTS["AUTOPILOT_VERSION"].number, 0.0, asked.peer, now)
+        self._request(LAYOUTS["AUTOPILOT_VERSION"].number, 0.0, asked.peer, now, 0)
         return MavResult.ACCEPTED
+
+    # -- camera and gimbal -----------------------------------------------------------------------
+
+    def look_at(self, asked: Asked, now: float) -> MavResult | None:
+        """DO_SET_ROI_LOCATION."""
+        if not self._is_place(asked):
+            raise UsageError("gimbal: the place is missing")
+        return self.payload.look_at(asked, (asked.x, asked.y, self._height_of(asked)), now)
 
 
 def _is_byte(value: float) -> bool:
@@ -439,12 +432,30 @@ def _mode(mode: Mode) -> Callable[[CommandProtocol, Asked, float], MavResult]:
     return lambda commands, asked, now: commands.request_mode(mode, asked.peer, now)
 
 
+def _ask_for(name: str) -> Callable[[CommandProtocol, Asked, float], MavResult]:
+    """An older command for one message of the camera."""
+    wanted = (float(LAYOUTS[name].number), 0.0, math.nan, math.nan)
+    return lambda commands, asked, now: commands.request_message(
+        replace(asked, parameters=wanted), now
+    )
+
+
+class CommandPart(Enum):
+    """Whose commands they are."""
+
+    AUTOPILOT = "autopilot"
+    CAMERA = "camera"  # of component 100, or of the autopilot for it
+    GIMBAL = "gimbal"  # of the autopilot, as gimbal manager
+    ALL = "all"
+
+
 @dataclass(frozen=True, slots=True)
 class CommandRow:
     """A command that has a meaning here."""
 
     handler: Callable[[CommandProtocol, Asked, float], MavResult | None]  # what carries it out
     meaning: str  # for the manual
+    part: CommandPart = CommandPart.AUTOPILOT
 
 
 COMMANDS: Mapping[int, CommandRow] = {
@@ -478,17 +489,59 @@ COMMANDS: Mapping[int, CommandRow] = {
         CommandProtocol.set_current, "the item to continue from"
     ),
     MavCommand.SET_MESSAGE_INTERVAL: CommandRow(
-        CommandProtocol.set_interval, "up to 50 Hz, for the sender"
+        CommandProtocol.set_interval, "up to 50 Hz, for the sender", CommandPart.ALL
     ),
     MavCommand.GET_MESSAGE_INTERVAL: CommandRow(
-        CommandProtocol.get_interval, "answers MESSAGE_INTERVAL"
+        CommandProtocol.get_interval, "answers MESSAGE_INTERVAL", CommandPart.ALL
     ),
     MavCommand.REQUEST_MESSAGE: CommandRow(
-        CommandProtocol.request_message, "telemetry, version, modes"
+        CommandProtocol.request_message,
+        "telemetry, version, modes, camera, gimbal",
+        CommandPart.ALL,
     ),
     MavCommand.GET_HOME_POSITION: CommandRow(CommandProtocol.request_home, "answers HOME_POSITION"),
     MavCommand.REQUEST_AUTOPILOT_CAPABILITIES: CommandRow(
         CommandProtocol.request_version, "answers AUTOPILOT_VERSION"
     ),
+    MavCommand.DO_GIMBAL_MANAGER_PITCHYAW: CommandRow(
+        lambda one, asked, now: one.payload.point(asked, now),
+        "points or turns the gimbal: pitch -90 to 30 degrees; yaw from north or from the nose",
+        CommandPart.GIMBAL,
+    ),
+    MavCommand.DO_GIMBAL_MANAGER_CONFIGURE: CommandRow(
+        lambda one, asked, now: one.payload.configure(asked, now),
+        "primary and secondary control of the gimbal; it ends when its holder has gone",
+        CommandPart.GIMBAL,
+    ),
+    MavCommand.DO_SET_ROI_LOCATION: CommandRow(
+        CommandProtocol.look_at, "the gimbal looks there until its next order", CommandPart.GIMBAL
+    ),
+    MavCommand.DO_SET_ROI_NONE: CommandRow(
+        lambda one, asked, now: one.payload.look_at_nothing(asked, now),
+        "the gimbal stays as it is",
+        CommandPart.GIMBAL,
+    ),
+    MavCommand.IMAGE_START_CAPTURE: CommandRow(
+        lambda one, asked, now: one.payload.start_photos(asked, now),
+        "one photo; a number of them, or photos until they are stopped, 1 s apart at least",
+        CommandPart.CAMERA,
+    ),
+    MavCommand.IMAGE_STOP_CAPTURE: CommandRow(
+        lambda one, asked, now: one.payload.stop_photos(asked, now),
+        "no more photos",
+        CommandPart.CAMERA,
+    ),
+    MavCommand.VIDEO_START_CAPTURE: CommandRow(
+        lambda one, asked, now: one.payload.record(asked, now), "records video", CommandPart.CAMERA
+    ),
+    MavCommand.VIDEO_STOP_CAPTURE: CommandRow(
+        lambda one, asked, now: one.payload.record(asked, now), "ends the video", CommandPart.CAMERA
+    ),
+    **{
+        MavCommand[f"REQUEST_{name}"]: CommandRow(
+            _ask_for(name), f"answers {name}", CommandPart.CAMERA
+        )
+        for name in CAMERA_MESSAGES
+    },
 }
 """By number; every other one is answered UNSUPPORTED."""

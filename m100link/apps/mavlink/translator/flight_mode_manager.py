@@ -24,6 +24,7 @@ from m100link.apps.mavlink.translator.orders import (
     MissionCommand,
     ModeRequest,
     ObtainControl,
+    PayloadOrder,
     ReleaseControl,
     ReturnToLaunch,
     TakeOffAndClimb,
@@ -70,7 +71,7 @@ class FlightModeManager:
         self._tell = tell
         self._streams = streams
         # Orders for the executor, oldest first.
-        self.orders: list[VehicleOrder | Setpoint | MissionCommand | Drop] = []
+        self.orders: list[VehicleOrder | Setpoint | MissionCommand | PayloadOrder | Drop] = []
         # The peer that armed the aircraft, or moved it first after that one was lost.
         self.operator: Peer | None = None
         self.steering: Peer | None = None  # whose setpoints came last

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
 from m100link.apps.agent import orders
 from m100link.apps.agent.orders import FlyTo, GuidedOrder
-from m100link.apps.mavlink.translator.codec import Peer
+from m100link.apps.mavlink.translator.codec import MavlinkMessage, Peer
+from m100link.apps.mavlink.translator.numbers import MavCommand, MavFrame
 from m100link.apps.mavlink.translator.vehicle_state import FlightSource, Mode
+from m100link.errors import M100Error
 from m100link.missions.plan import WaypointPlan
+
+_NO_PLACE = 0x7FFFFFFF
 
 
 class VehicleOrder:
@@ -117,6 +123,14 @@ class MissionCommand:
 
 
 @dataclass(frozen=True, slots=True)
+class PayloadOrder:
+    """An order to the camera or the gimbal; it replaces nothing."""
+
+    order: orders.Order
+    done: Callable[[M100Error | None], None]  # called with its outcome
+
+
+@dataclass(frozen=True, slots=True)
 class Drop:
     """Leave the order under way as it is: control was lost, and what was to come is not flown."""
 
@@ -130,3 +144,43 @@ class ModeRequest:
     order: VehicleOrder | None  # what the agent is asked for; None where setpoints fly
     peer: Peer | None = None  # who wants it; None for the bridge itself
     is_anew: bool = False  # whether it is another mission than the one that flies or is paused
+
+
+# -- a command of a ground station: a value for all who carry one out ------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    command: int
+    parameters: tuple[float, float, float, float]  # the first four, NaN where nothing is said
+    peer: Peer
+    x: float = math.nan  # latitude, °, or the fifth parameter
+    y: float = math.nan  # longitude, °, or the sixth
+    z: float = math.nan  # altitude, or the seventh
+    # The zero of the altitude: sea level where the message does not say it.
+    frame: int = MavFrame.GLOBAL
+    component: int = 0  # that it is for; 0 for all
+    raw_x: float = math.nan  # the fifth parameter of a command without a place
+
+    @property
+    def key(self) -> tuple[Peer, str]:
+        """Equal for copies of one command: NaN is not equal to itself."""
+        return self.peer, str(self)
+
+    def __str__(self) -> str:
+        name = next((one.name for one in MavCommand if one == self.command), str(self.command))
+        values = [*self.parameters, self.x, self.y, self.z]
+        said = ", ".join("" if math.isnan(one) else f"{one:.10g}" for one in values)
+        return f"{name}({said.rstrip(', ')})"
+
+
+def read_command(message: MavlinkMessage, peer: Peer) -> Asked:
+    """COMMAND_LONG or COMMAND_INT."""
+    four = tuple(message[f"param{place}"] for place in range(1, 5))
+    command, component = message["command"], message.fields.get("target_component", 0)
+    if message.name == "COMMAND_LONG":
+        x, y, z = (message[f"param{place}"] for place in (5, 6, 7))
+        return Asked(command, four, peer, x, y, z, MavFrame.GLOBAL, component, x)
+    raw_x, raw_y = (math.nan if one == _NO_PLACE else one for one in (message["x"], message["y"]))
+    place = (raw_x / 1e7, raw_y / 1e7, message["z"])
+    return Asked(command, four, peer, *place, message["frame"], component, raw_x)

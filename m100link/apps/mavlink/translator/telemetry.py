@@ -22,7 +22,8 @@ from m100link.apps.mavlink.translator.numbers import (
     Sensor,
     Severity,
 )
-from m100link.apps.mavlink.translator.vehicle_state import LOWEST_BATTERY, VehicleState
+from m100link.apps.mavlink.translator.payload import CAMERA_MESSAGES, GIMBAL_MESSAGES, Made
+from m100link.apps.mavlink.translator.vehicle_state import CAMERA, LOWEST_BATTERY, VehicleState
 from m100link.protocol import records
 from m100link.telemetry.integrity import GOOD_GPS
 
@@ -316,6 +317,16 @@ def _orbit(world: VehicleState, now: float) -> Fields | None:
     }
 
 
+def _if_there(made: Made) -> Made:
+    """The message with its time, of an aircraft that has camera and gimbal."""
+
+    def fields(world: VehicleState, now: float) -> Fields | None:
+        found = made(world, now) if world.has_payload else None
+        return None if found is None else {"time_boot_ms": _ms(now)} | found
+
+    return fields
+
+
 @dataclass(frozen=True, slots=True)
 class Stream:
     hz: float  # how often it is sent; 0 until somebody asks
@@ -323,8 +334,14 @@ class Stream:
     # Makes it; None where what it says is not known.
     fields: Callable[[VehicleState, float], Fields | None]
     source: str  # what it is made of, for the manual
+    component: int = 1  # that sends it
+
+    @property
+    def is_of_payload(self) -> bool:
+        return self.group == _PAYLOAD
 
 
+_PAYLOAD = -1  # of no group
 _SENSORS, _STATUS, _STICKS, _PLACE, _EXTRA1, _EXTRA2, _EXTRA3 = 1, 2, 3, 6, 10, 11, 12
 
 STREAMS: Mapping[str, Stream] = {
@@ -351,6 +368,11 @@ STREAMS: Mapping[str, Stream] = {
     "SYSTEM_TIME": Stream(
         0, _EXTRA3, lambda _, now: {"time_boot_ms": _ms(now)}, "time of the bridge"
     ),
+    **{
+        name: Stream(hz, _PAYLOAD, _if_there(made), source, component)
+        for component, table in ((CAMERA, CAMERA_MESSAGES), (1, GIMBAL_MESSAGES))
+        for name, (hz, made, source) in table.items()
+    },
 }
 """By the name of the message."""
 
@@ -407,7 +429,7 @@ class Rates:
     def set_group(self, group: int, hz: float, peer: codec.Peer) -> None:
         """Send the messages of a group of REQUEST_DATA_STREAM so often."""
         for name, stream in STREAMS.items():
-            if group in (_ALL, stream.group):
+            if group in (_ALL, stream.group) and not stream.is_of_payload:
                 self.set_hz(name, hz, peer)
 
     def _arrange(self, audience: Audience, now: float) -> None:
@@ -433,8 +455,11 @@ class Rates:
         }
 
     def message(self, name: str, now: float) -> codec.MavlinkMessage | None:
-        fields = STREAMS[name].fields(self._world, now)
-        return None if fields is None else codec.MavlinkMessage(name, fields)
+        stream = STREAMS[name]
+        fields = stream.fields(self._world, now)
+        if fields is None:
+            return None
+        return codec.MavlinkMessage(name, fields, component=stream.component)
 
     def due(
         self, now: float, audience: Audience

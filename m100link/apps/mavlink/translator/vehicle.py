@@ -15,7 +15,7 @@ from m100link.apps.mavlink.files import FileService
 from m100link.apps.mavlink.order_executor import MissionFlights
 from m100link.apps.mavlink.translator import telemetry
 from m100link.apps.mavlink.translator.codec import LAYOUTS, Address, MavlinkMessage, Peer
-from m100link.apps.mavlink.translator.commands import Asked, CommandProtocol, read_command
+from m100link.apps.mavlink.translator.commands import CommandProtocol
 from m100link.apps.mavlink.translator.flight_mode_manager import FlightModeManager
 from m100link.apps.mavlink.translator.missions import MissionProtocol
 from m100link.apps.mavlink.translator.numbers import (
@@ -25,10 +25,14 @@ from m100link.apps.mavlink.translator.numbers import (
     MavResult,
     MissionType,
     Severity,
+    SystemStatus,
 )
 from m100link.apps.mavlink.translator.offboard import Manual, Offboard
+from m100link.apps.mavlink.translator.orders import Asked, read_command
 from m100link.apps.mavlink.translator.parameters import ParameterProtocol
+from m100link.apps.mavlink.translator.payload import Payload
 from m100link.apps.mavlink.translator.vehicle_state import (
+    CAMERA,
     FlightSource,
     Mode,
     VehiclePhase,
@@ -57,6 +61,13 @@ _AWAY_M = 0.3  # so far it may be ordered to move away from the fence while it s
 _FLIGHTS = (FlightSource.FLIGHT, FlightSource.MISSION, FlightSource.PAUSED)
 """Flights that lead back into the fence by themselves, if they lead there."""
 
+_COMMANDS = ("COMMAND_LONG", "COMMAND_INT")
+_CAMERA_BEAT = MavlinkMessage(
+    "HEARTBEAT",
+    # MAV_TYPE_CAMERA, MAV_AUTOPILOT_INVALID
+    {"type": 30, "autopilot": 8, "system_status": SystemStatus.ACTIVE, "mavlink_version": 3},
+    component=CAMERA,
+)
 _QUESTIONS = (MavCommand.REQUEST_MESSAGE, MavCommand.SET_MESSAGE_INTERVAL)
 _PARAMETER_MESSAGES = ("PARAM_REQUEST_LIST", "PARAM_REQUEST_READ", "PARAM_SET")
 _MISSION_MESSAGES = (
@@ -93,6 +104,9 @@ class MavlinkVehicle:
         self.manager = FlightModeManager(self.world, tell, streams)
         self.manager.on_armed = self._armed
         self._rates = telemetry.Rates(self.world)
+        self._payload = Payload(
+            self.world, self.manager, tell, self._answer, lambda: self._camera_changed()
+        )
         self._commands = CommandProtocol(
             self.world,
             self.manager,
@@ -101,6 +115,7 @@ class MavlinkVehicle:
             tell=tell,
             request=self._request,
             mission=lambda peer, first: self.flights.mission_request(peer, first),
+            payload=self._payload,
             fence=self._may_fly_to,
         )
         self._missions = MissionProtocol(
@@ -121,14 +136,15 @@ class MavlinkVehicle:
         # Peers that wait for the answer to arming, and when each last heard that it takes time.
         self._arming: dict[Peer, float] = {}
         self._in_force: dict[int, str] = {}  # uploads, for the flight log
-        self._was_connected, self._beaten_at = True, -math.inf
+        self._was_connected = True
+        self._beaten_at = self._camera_beaten_at = -math.inf
         self._beaten: tuple[object, ...] = ()
         self._handlers = self._by_name()
 
     def _by_name(self) -> dict[str, Callable[[MavlinkMessage, Peer, float], None]]:
         """The handler of each message, by its name."""
         return {
-            **dict.fromkeys(("COMMAND_LONG", "COMMAND_INT"), self._command),
+            **dict.fromkeys(_COMMANDS, self._command),
             "SET_MODE": self._set_mode,
             **dict.fromkeys(_PARAMETER_MESSAGES, self._parameter),
             "SET_POSITION_TARGET_LOCAL_NED": self._setpoint,
@@ -139,6 +155,7 @@ class MavlinkVehicle:
             "REQUEST_DATA_STREAM": self._data_stream,
             "PING": self._ping,
             "TIMESYNC": self._timesync,
+            **self._payload.handlers,
             **self.files.handlers,
             "LOG_ERASE": self._no_erasing,
         }
@@ -162,7 +179,10 @@ class MavlinkVehicle:
     def _is_for_us(self, message: MavlinkMessage) -> bool:
         system = message.fields.get("target_system", message.fields.get("target", 0))
         component = message.fields.get("target_component", 0)
-        return system in (0, self.system) and component in _TO_ALL
+        is_ours = component in _TO_ALL
+        if component == CAMERA and message.name in _COMMANDS:
+            is_ours = self.world.has_payload
+        return system in (0, self.system) and is_ours
 
     def _send(self, message: MavlinkMessage, to: Peer | tuple[Address, ...] | None = None) -> None:
         self.outbox.append((message, to))
@@ -170,14 +190,20 @@ class MavlinkVehicle:
     def _command(self, message: MavlinkMessage, peer: Peer, now: float) -> None:
         asked = read_command(message, peer)
         result = self._commands.carry_out(asked, now)
-        if result is None and peer in self._arming:
-            self._acknowledge(asked.command, MavResult.IN_PROGRESS, peer)
-            return
-        if result is None:
+        if result is not None:
+            self._answer(asked, result)
+        elif asked.command == MavCommand.COMPONENT_ARM_DISARM:
+            if peer in self._arming:
+                self._acknowledge(asked.command, MavResult.IN_PROGRESS, peer)
+                return
             self._arming[peer] = now
-        else:
-            self._acknowledge(asked.command, result, peer)
-        self._log(asked, MavResult.IN_PROGRESS if result is None else result)
+            self._log(asked, MavResult.IN_PROGRESS)
+        elif not self.world.known.view.state.is_activated:  # which takes about two seconds first
+            self._acknowledge(asked.command, MavResult.IN_PROGRESS, peer, _answering(asked))
+
+    def _answer(self, asked: Asked, result: MavResult) -> None:
+        self._acknowledge(asked.command, result, asked.peer, _answering(asked))
+        self._log(asked, result)
 
     def _log(self, asked: Asked, result: MavResult) -> None:
         """Let the flight log say who asked for what, questions apart."""
@@ -206,13 +232,15 @@ class MavlinkVehicle:
     def _note(self, text: str) -> None:
         self.world.known.note(text, LOG_ONLY)
 
-    def _acknowledge(self, command: int, result: MavResult, peer: Peer) -> None:
+    def _acknowledge(
+        self, command: int, result: MavResult, peer: Peer, component: int = COMPONENT
+    ) -> None:
         fields = {
             "command": command,
             "result": result,
             "progress": _UNKNOWN_PROGRESS if result is MavResult.IN_PROGRESS else 0,
         }
-        self._send(MavlinkMessage("COMMAND_ACK", fields | peer.target), peer)
+        self._send(MavlinkMessage("COMMAND_ACK", fields | peer.target, component=component), peer)
 
     def _armed(self, error: M100Error | None) -> None:
         result = MavResult.ACCEPTED if error is None else MavResult.TEMPORARILY_REJECTED
@@ -380,11 +408,15 @@ class MavlinkVehicle:
 
     # -- what is asked for -----------------------------------------------------------------------
 
-    def _request(self, number: int, parameter: float, peer: Peer, now: float) -> bool:
-        """Send a message by its number; False where there is none."""
+    def _request(
+        self, number: int, parameter: float, peer: Peer, now: float, component: int
+    ) -> bool:
+        """Send a message of a component, 0 for any, by its number; False where it has none."""
         name = telemetry.NUMBERS.get(number)
         if name is not None:
             message = self._rates.message(name, now)
+            if message is not None and component not in (0, message.component):
+                return False
             if message is not None:
                 self._send(message, peer)
             return message is not None
@@ -464,6 +496,7 @@ class MavlinkVehicle:
         if operator is not None and lost(operator, now):
             self.manager.operator_lost()
         self._watch_fence()
+        self._payload.advance(now, lost, audience.values())
         self.manager.advance(now)
         for peer, told_at in self._arming.items():
             if now - told_at >= _PROGRESS_S:
@@ -476,12 +509,20 @@ class MavlinkVehicle:
         if self.world.known.view.is_heard:
             self._tell_state(now, audience)
 
+    def _camera_changed(self) -> None:
+        message = self._rates.message("CAMERA_CAPTURE_STATUS", self.world.known.now)
+        if message is not None:
+            self._send(message)
+
     def _heartbeat(self) -> MavlinkMessage:
         return heartbeat(self.world, self.manager.mode, self._autopilot)
 
     def _tell_state(self, now: float, audience: telemetry.Audience) -> None:
         beat = self._heartbeat()
         fields = tuple(beat.fields.values())
+        if self.world.has_payload and now - self._camera_beaten_at >= _HEARTBEAT_S:
+            self._camera_beaten_at = now
+            self._send(_CAMERA_BEAT)
         if fields != self._beaten or now - self._beaten_at >= _HEARTBEAT_S:
             if fields[:1] != self._beaten[:1]:
                 self._send(current(self.manager.mode))
@@ -492,6 +533,10 @@ class MavlinkVehicle:
         if now >= self._missions.due_at:
             for message in self._missions.due(now, is_flying=self.manager.flies_mission):
                 self._send(message)
+
+
+def _answering(asked: Asked) -> int:
+    return CAMERA if asked.component == CAMERA else COMPONENT
 
 
 def _whole(value: float) -> int:

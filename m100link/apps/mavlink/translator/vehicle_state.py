@@ -17,6 +17,8 @@ from m100link.apps.agent.orders import GuidedOrder
 from m100link.apps.mavlink.translator.codec import MavlinkMessage
 from m100link.apps.mavlink.translator.numbers import BaseMode, SystemStatus
 from m100link.geodesy import LocalFrame
+from m100link.protocol.commands.gimbal import TakePhoto
+from m100link.protocol.firmware import PROFILES
 from m100link.protocol.records import Attitude, Battery, Position, RcMode
 
 # -- flight modes: their names and numbers, and the mode requests that each phase takes ------------
@@ -204,6 +206,20 @@ class Home:
     altitude_m: float  # barometric altitude, as the wire has it
 
 
+CAMERA = 100  # MAV_COMP_ID_CAMERA
+
+
+@dataclass(slots=True)
+class PayloadState:
+    """Camera and gimbal as they were ordered here: the aircraft confirms nothing."""
+
+    is_recording: bool = False
+    interval_s: float = 0.0  # between photos; 0 where none is set
+    is_locked: bool = True  # whether the gimbal's yaw stays with north
+    primary: tuple[int, int] = (0, 0)  # system and component with control of the gimbal, 0 for none
+    secondary: tuple[int, int] = (0, 0)
+
+
 class VehicleState:
     def __init__(self, known: AgentClient, session: ControlSession) -> None:
         self.known = known
@@ -215,6 +231,7 @@ class VehicleState:
         self.target: Callable[[], GuidedOrder | None] = lambda: None
         # Whether it is known to be inside of the fence; None without one.
         self.is_fenced: Callable[[], bool | None] = lambda: None
+        self.payload = PayloadState()
 
     @property
     def height(self) -> float | None:
@@ -258,6 +275,12 @@ class VehicleState:
                 return  # the origin of the local frame does not follow the noise of GPS
         frame = LocalFrame(position.latitude_deg, position.longitude_deg)
         self.home = Home(frame, position.altitude_m)
+
+    @property
+    def has_payload(self) -> bool:
+        """Whether the firmware has orders for camera and gimbal; nothing shows what hangs there."""
+        profile = PROFILES.get(self.known.view.state.firmware)
+        return profile is not None and TakePhoto.is_known_to(profile)
 
     @property
     def is_armed(self) -> bool:

@@ -12,7 +12,7 @@ import pytest
 from m100link.apps.agent import orders
 from m100link.apps.agent.messages import GuardLimits, State
 from m100link.apps.mavlink.translator.codec import LAYOUTS, MavlinkMessage, Peer
-from m100link.apps.mavlink.translator.commands import COMMANDS, CommandProtocol, read_command
+from m100link.apps.mavlink.translator.commands import COMMANDS, CommandProtocol
 from m100link.apps.mavlink.translator.flight_mode_manager import FlightModeManager
 from m100link.apps.mavlink.translator.numbers import MavCommand, MavResult, MissionResult
 from m100link.apps.mavlink.translator.orders import (
@@ -22,8 +22,10 @@ from m100link.apps.mavlink.translator.orders import (
     ModeRequest,
     ReturnToLaunch,
     TakeOffAndClimb,
+    read_command,
 )
 from m100link.apps.mavlink.translator.parameters import ParameterProtocol
+from m100link.apps.mavlink.translator.payload import Payload
 from m100link.apps.mavlink.translator.telemetry import Rates
 from m100link.apps.mavlink.translator.vehicle_state import MODES, Mode, VehiclePhase
 from m100link.geodesy import LocalFrame
@@ -75,6 +77,7 @@ class Asked:
             tell=lambda _, text: self.texts.append(text),
             request=lambda *_: False,
             mission=self._mission,
+            payload=cast(Payload, None),
             fence=self._fence,
         )
 

@@ -132,8 +132,15 @@ TABLE: dict[str, dict[str, Any]] = {
 }
 
 
+OF_PAYLOAD = {f"CAMERA_{name}" for name in ("INFORMATION", "SETTINGS", "CAPTURE_STATUS")} | {
+    *("STORAGE_INFORMATION", "GIMBAL_MANAGER_INFORMATION", "GIMBAL_DEVICE_INFORMATION"),
+    *("GIMBAL_MANAGER_STATUS", "GIMBAL_DEVICE_ATTITUDE_STATUS"),
+}
+"""Messages of test_payload."""
+
+
 def test_the_table_has_every_stream() -> None:
-    assert set(TABLE) | {row[0] for row in OF_FLIGHTS} == set(STREAMS)
+    assert set(TABLE) | {row[0] for row in OF_FLIGHTS} == set(STREAMS) - OF_PAYLOAD
 
 
 # The take-off point is 75.31 m above the sea. type_mask: bits 3 to 5 speed, 6 to 8 acceleration, 10
@@ -428,7 +435,9 @@ RATES_BY_DEFAULT = {
 
 
 def test_what_nobody_asked_for_comes_as_often_as_the_manual_says() -> None:
-    assert {name: (one.hz, one.group) for name, one in STREAMS.items()} == RATES_BY_DEFAULT
+    found = {name: (one.hz, one.group) for name, one in STREAMS.items()}
+    hz = {"GIMBAL_MANAGER_STATUS": 1, "GIMBAL_DEVICE_ATTITUDE_STATUS": 5}
+    assert found == RATES_BY_DEFAULT | {name: (hz.get(name, 0), -1) for name in OF_PAYLOAD}
 
 
 # -- each peer gets what it asked for, and nobody gets less because another asked ------------------
@@ -550,9 +559,11 @@ def test_a_group_is_what_older_programs_ask_for() -> None:
     assert one.hz("SYS_STATUS", FIRST) == 10.0
     assert one.hz("ATTITUDE", FIRST) == STREAMS["ATTITUDE"].hz
     one.set_group(0, 4.0, FIRST)
-    assert {one.hz(name, FIRST) for name in STREAMS} == {4.0}
-    one.set_group(99, 1.0, FIRST)
-    assert {one.hz(name, FIRST) for name in STREAMS} == {4.0}
+    is_of_payload = {name for name, stream in STREAMS.items() if stream.is_of_payload}
+    for group in (0, 99, -1):
+        assert {one.hz(name, FIRST) for name in STREAMS.keys() - is_of_payload} == {4.0}
+        assert {one.hz(name, FIRST) for name in is_of_payload} == {0, 1, 5}, "they are in no group"
+        one.set_group(group, 4.0, FIRST)
 
 
 @pytest.mark.anyio

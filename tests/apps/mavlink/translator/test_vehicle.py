@@ -17,7 +17,8 @@ from m100link.protocol.records import FlightPhase, RcMode
 from tests.apps.mavlink.conftest import Ground, Rig
 
 OF_FLIGHTS = ("POSITION_TARGET_GLOBAL_INT", "ORBIT_EXECUTION_STATUS")
-ALWAYS = [name for name in STREAMS if name not in OF_FLIGHTS]
+PAYLOAD = [name for name, one in STREAMS.items() if one.is_of_payload]  # from firmware 2.3 on
+ALWAYS = [name for name in STREAMS if name not in (*OF_FLIGHTS, *PAYLOAD)]
 
 pytestmark = pytest.mark.anyio
 
