@@ -50,6 +50,8 @@ class Vehicle:
             self.say("HEARTBEAT", type=6, autopilot=8)
         with contextlib.suppress(TimeoutError, ConnectionRefusedError):
             for message in MessageReader(self.line.recv(65536)):
+                if message.component != 1:  # the camera has a heartbeat of its own
+                    continue
                 self.newest[message.name] = message
                 if message.name == "STATUSTEXT":  # why something was refused, or happened
                     print("   ", message["text"])

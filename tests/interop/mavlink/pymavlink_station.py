@@ -34,7 +34,9 @@ class Station:
         while time.monotonic() < ends:
             self.beat()
             found = self.line.recv_match(type=list(kinds), blocking=True, timeout=0.2)
-            if found and all(getattr(found, name) == one for name, one in wanted.items()):
+            if not found or found.get_srcComponent() != 1:  # the camera beats, too
+                continue
+            if all(getattr(found, name) == one for name, one in wanted.items()):
                 return found
         raise AssertionError(f"no {kinds} {wanted} in {seconds} s")
 
