@@ -79,7 +79,7 @@ class _Interval:
     """Photos that are taken one after the other."""
 
     left: int | None  # still to take; None until they are stopped
-    due_at: float  # s
+    due_at: float | None = None  # s; None until the step after the first one was taken
 
 
 Done = Callable[[MavResult], None]
@@ -118,6 +118,15 @@ class Payload:
         self._tell(Severity.WARNING, why)
         return MavResult.TEMPORARILY_REJECTED
 
+    def _at_first(self) -> MavResult | None:
+        """The answer to an order that is on its way: None where its outcome is the answer.
+
+        The first order activates the aircraft. That takes longer than MAVSDK waits for an answer,
+        and its camera and gimbal take IN_PROGRESS for a failure.
+        """
+        is_activated = self._world.known.view.state.is_activated
+        return None if is_activated else MavResult.ACCEPTED
+
     # -- the camera -------------------------------------------------------------------------------
 
     def start_photos(self, asked: Asked, now: float) -> MavResult | None:
@@ -139,14 +148,17 @@ class Payload:
         if self._interval is not None and asked.key not in self._pending:
             return self._reject("camera: photos are being taken at an interval: stop them first")
 
+        at_first = self._at_first()
+
         def taken(result: MavResult) -> None:
             if self._photos.get(asked.peer, (math.nan,))[0] == number:
                 self._photos[asked.peer] = number, now, result
             if result is MavResult.ACCEPTED and not is_single:
-                self._interval = _Interval(int(count) - 1 if count else None, now + interval)
+                self._interval = _Interval(int(count) - 1 if count else None)
                 self._state.interval_s = interval
                 self._changed()
-            self._answer(asked, result)
+            if at_first is None:
+                self._answer(asked, result)
 
         result = self._use(CameraUse.PHOTO, asked.key, taken)
         self._photos.pop(asked.peer, None)
@@ -178,11 +190,14 @@ class Payload:
         if self._manager.is_others(asked.peer, "camera"):
             return MavResult.TEMPORARILY_REJECTED
 
+        at_first = self._at_first()
+
         def done(result: MavResult) -> None:
             if result is MavResult.ACCEPTED:
                 self._state.is_recording = is_on
                 self._changed()
-            self._answer(asked, result)
+            if at_first is None:
+                self._answer(asked, result)
 
         use = CameraUse.START_VIDEO if is_on else CameraUse.STOP_VIDEO
         return self._use(use, asked.key, done)
@@ -190,7 +205,7 @@ class Payload:
     def _use(self, use: CameraUse, key: object, done: Done) -> MavResult | None:
         """Ask the agent; None where the answer comes when it has one."""
         if key in self._pending:
-            return None
+            return self._at_first()
         if len(self._pending) >= _MOST_WAITING:
             return self._reject("camera: too many orders at once")
         self._pending.add(key)
@@ -200,7 +215,7 @@ class Payload:
             done(self._result(error, "camera"))
 
         self._manager.orders.append(PayloadOrder(orders.UseCamera(use), over))
-        return None
+        return self._at_first()
 
     def _result(self, error: M100Error | None, what: str) -> MavResult:
         if error is None:
@@ -311,9 +326,11 @@ class Payload:
         if asked is not None and self._asked is not None and asked.key == self._asked.key:
             return None  # a copy of the command that waits
         self._drop_aim()
-        self._aim, self._asked, self._aims_at = aim, asked, now
+        at_first = self._at_first()
+        self._aim, self._aims_at = aim, now
+        self._asked = asked if at_first is None else None
         self._state.is_locked = not aim.follows
-        return None
+        return at_first
 
     def _drop_aim(self) -> None:
         """The aim is over; a command that waits for it has been replaced."""
@@ -332,7 +349,7 @@ class Payload:
         ``present``: the peers that are there, by their address.
         """
         interval = self._interval
-        if interval is not None and now >= interval.due_at:
+        if interval is not None and (interval.due_at is None or now >= interval.due_at):
             self._next_photo(interval, now)
         self._forget_gone(present)
         aim = self._aim
@@ -359,6 +376,9 @@ class Payload:
         state.secondary = state.secondary if state.secondary in there else _NOBODY
 
     def _next_photo(self, interval: _Interval, now: float) -> None:
+        if interval.due_at is None:
+            interval.due_at = now + self._state.interval_s
+            return
         if interval.left is not None:
             interval.left -= 1
         # From when it was due, so that the interval holds; not from long ago.
@@ -369,7 +389,8 @@ class Payload:
                 self._tell(Severity.WARNING, "camera: no more photos at an interval")
                 self._end_interval()
 
-        if self._use(CameraUse.PHOTO, id(interval), taken) is not None or interval.left == 0:
+        result = self._use(CameraUse.PHOTO, id(interval), taken)
+        if result is MavResult.TEMPORARILY_REJECTED or interval.left == 0:
             self._end_interval()
 
     def _aimed(self, aim: Aim, error: M100Error | None) -> None:

@@ -198,11 +198,10 @@ class MavlinkVehicle:
                 return
             self._arming[peer] = now
             self._log(asked, MavResult.IN_PROGRESS)
-        elif not self.world.known.view.state.is_activated:  # which takes about two seconds first
-            self._acknowledge(asked.command, MavResult.IN_PROGRESS, peer, _answering(asked))
 
     def _answer(self, asked: Asked, result: MavResult) -> None:
-        self._acknowledge(asked.command, result, asked.peer, _answering(asked))
+        component = CAMERA if asked.component == CAMERA else COMPONENT
+        self._acknowledge(asked.command, result, asked.peer, component)
         self._log(asked, result)
 
     def _log(self, asked: Asked, result: MavResult) -> None:
@@ -533,10 +532,6 @@ class MavlinkVehicle:
         if now >= self._missions.due_at:
             for message in self._missions.due(now, is_flying=self.manager.flies_mission):
                 self._send(message)
-
-
-def _answering(asked: Asked) -> int:
-    return CAMERA if asked.component == CAMERA else COMPONENT
 
 
 def _whole(value: float) -> int:
