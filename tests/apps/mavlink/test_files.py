@@ -212,7 +212,7 @@ def ftp(rig: Rig, ground: Ground) -> Client:
 
 
 async def test_folders_are_listed_from_any_entry(rig: Rig, ftp: Client) -> None:
-    rig.vehicle.files.made["extras/general.json"] = b"{}"
+    rig.vehicle.files.made = {"extras/general.json": b"{}"}
     assert await ftp.ask(LIST, b"/") == (ACK, b"Dextras\0Dlog\0", 0)
     assert await ftp.ask(LIST, b"/extras\0") == (ACK, b"Fgeneral.json\t2\0", 0)
     logs = [f"F{name}\t{SIZES[name]}\0".encode() for name in (OLD, NEW)]

@@ -7,10 +7,12 @@ answer in time is sent again, as often as there.
 
 from __future__ import annotations
 
+import json
 import struct
 from collections.abc import Callable, Iterator
 from random import Random
 from typing import Any
+from zlib import crc32
 
 import anyio
 import pytest
@@ -19,6 +21,7 @@ from m100link.apps.mavlink.translator.codec import LAYOUTS, MavlinkMessage
 from m100link.apps.mavlink.translator.numbers import MavCommand, MavResult
 from m100link.apps.mavlink.translator.parameters import PARAMETERS
 from tests.apps.mavlink.conftest import Ground, Rig
+from tests.apps.mavlink.test_files import ACK, OPEN, READ, TERMINATE, Client
 from tests.apps.mavlink.translator.test_missions import SQUARE, Exchange
 from tests.apps.mavlink.translator.test_parameters import INTEGERS, SETUP
 
@@ -27,7 +30,7 @@ pytestmark = pytest.mark.anyio
 ACK_S, MESSAGE_S, MOST_TRIES = 3.0, 0.5, 3  # of a command; of the message behind it
 HASH_S, LIST_S, LISTS, INDEX_S, INDEXES, BATCH = 1.0, 5.0, 5, 1.0, 5, 10
 PLAN_S, ITEM_S, PLAN_TRIES = 1.5, 0.25, 5
-PROTOCOL_VERSION, COMPONENT_INFORMATION, COMPONENT_METADATA = 300, 395, 397
+PROTOCOL_VERSION = 300
 CAMERA_INFORMATION, GIMBAL_MANAGER_INFORMATION = 259, 280
 FENCE, RALLY = 0x4000, 0x8000  # MAV_PROTOCOL_CAPABILITY: plans that it downloads
 INT32, REAL32 = 6, 9
@@ -167,7 +170,34 @@ class Start:
         return [one for one in items if one is not None]
 
 
-@pytest.mark.parametrize(("loss", "seed"), [(0.0, 0), (0.2, 1), (0.2, 2), (0.2, 3)])
+async def fetched(rig: Rig, uri: str, crc: int) -> Any:
+    """A JSON file of version 1 by MAVLink FTP."""
+    assert uri.startswith("mftp:///")
+    ftp = Client(rig, rig.ground)
+    answer, size, session = await ftp.ask(OPEN, uri.removeprefix("mftp://").encode())
+    assert answer == ACK
+    data = b""
+    while len(data) < int.from_bytes(size, "little"):
+        answer, piece, _ = await ftp.ask(READ, session=session, at=len(data), size=239)
+        assert answer == ACK
+        data += piece
+    assert (await ftp.ask(TERMINATE, session=session))[0] == ACK
+    assert crc32(data) == crc
+    document = json.loads(data)
+    assert document["version"] == 1, "it reads no other"
+    return document
+
+
+async def parameter_metadata(rig: Rig, metadata: MavlinkMessage) -> dict[str, Any]:
+    """What COMPONENT_METADATA leads to, by the name of the parameter."""
+    general = await fetched(rig, metadata["uri"], metadata["file_crc"])
+    [kind] = general["metadataTypes"]
+    assert kind["type"] == 1
+    document = await fetched(rig, kind["uri"], kind["fileCrc"])
+    return {one["name"]: one for one in document["parameters"]}
+
+
+@pytest.mark.parametrize(("loss", "seed"), [(0.0, 0), (0.1, 1), (0.1, 2), (0.1, 3)])
 async def test_its_start_finds_a_whole_vehicle(
     rig: Rig, ground: Ground, loss: float, seed: int
 ) -> None:
@@ -187,13 +217,20 @@ async def test_its_start_finds_a_whole_vehicle(
     modes = await start.whole(LAYOUTS["AVAILABLE_MODES"].number, is_last_there)
     assert loss or [one["mode_index"] for one in modes] == [*range(1, len(modes) + 1)]
     assert ground.last("HEARTBEAT")["custom_mode"] in {one["custom_mode"] for one in modes} or loss
-    for number in (COMPONENT_METADATA, COMPONENT_INFORMATION):
-        await start.message(number)  # without it parameters have the texts of PX4
+    [metadata, *_] = await start.whole(LAYOUTS["COMPONENT_METADATA"].number, bool)
+    described = {} if loss else await parameter_metadata(rig, metadata)
+    start.read = len(ground.heard)
 
     found = await start.parameters()
     assert found.keys() == PARAMETERS.keys()
     for name, is_set_up in SETUP.items():
         assert is_set_up(found[name]), name
+    for name, one in described.items():
+        assert one["type"] == ("Int32" if name in INTEGERS else "Float")
+        assert one.get("readOnly", False) is not PARAMETERS[name].is_settable
+        assert one.get("default", found[name]) == found[name]
+        assert one["shortDesc"] == PARAMETERS[name].meaning
+    assert loss or described.keys() == found.keys()
     for _ in range(2):
         start.send("SYSTEM_TIME", time_unix_usec=1_700_000_000_000_000)  # has no answer
     items = await start.plan(0)

@@ -146,6 +146,7 @@ DEFINITIONS = """
 345 PARAM_ERROR: i16 param_index, u8 target_system, u8 target_component, char[16] param_id, u8
     error
 360 ORBIT_EXECUTION_STATUS: u64 time_usec, f32 radius, i32 x, i32 y, f32 z, u8 frame
+397 COMPONENT_METADATA: u32 time_boot_ms, u32 file_crc, char[100] uri
 435 AVAILABLE_MODES: u32 custom_mode, u32 properties, u8 number_modes, u8 mode_index, u8
     standard_mode, char[35] mode_name
 436 CURRENT_MODE: u32 custom_mode, u32 intended_custom_mode, u8 standard_mode

@@ -7,9 +7,11 @@ read-only, and answered with their value.
 
 from __future__ import annotations
 
+import json
 import struct
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from zlib import crc32
 
 from m100link.apps.mavlink.translator.codec import MavlinkMessage
 from m100link.apps.mavlink.translator.numbers import ParamError
@@ -104,6 +106,37 @@ PARAMETERS: Mapping[str, ParamRow] = {
 """By name."""
 
 _NAMES = tuple(PARAMETERS)
+
+
+# -- component metadata: what a ground station shows beside the values -----------------------------
+
+
+_OF_PARAMETERS = 1  # COMP_METADATA_TYPE
+
+
+def _metadata() -> Mapping[str, bytes]:
+    described = [
+        {"name": name, "type": "Int32" if one.is_whole else "Float", "shortDesc": one.meaning}
+        | {"group": name.partition("_")[0]}
+        | ({"min": one.least, "max": one.most} if one.is_settable else {"readOnly": True})
+        | ({} if one.value is None else {"default": one.value})
+        for name, one in PARAMETERS.items()
+    ]
+    # QGroundControl reads version 1 of both, whatever the schema of MAVLink says.
+    parameters = json.dumps({"version": 1, "parameters": described}).encode()
+    uri = {"uri": "mftp:///parameter.json", "fileCrc": crc32(parameters)}
+    general = {"version": 1, "metadataTypes": [{"type": _OF_PARAMETERS} | uri]}
+    return {"general.json": json.dumps(general).encode(), "parameter.json": parameters}
+
+
+METADATA = _metadata()
+"""Files for MAVLink FTP, by path; COMPONENT_METADATA names the first."""
+
+
+def component_metadata() -> MavlinkMessage:
+    """COMPONENT_METADATA."""
+    crc = crc32(METADATA["general.json"])
+    return MavlinkMessage("COMPONENT_METADATA", {"uri": "mftp:///general.json", "file_crc": crc})
 
 
 class ParameterProtocol:

@@ -29,7 +29,11 @@ from m100link.apps.mavlink.translator.numbers import (
 )
 from m100link.apps.mavlink.translator.offboard import Manual, Offboard
 from m100link.apps.mavlink.translator.orders import Asked, read_command
-from m100link.apps.mavlink.translator.parameters import ParameterProtocol
+from m100link.apps.mavlink.translator.parameters import (
+    METADATA,
+    ParameterProtocol,
+    component_metadata,
+)
 from m100link.apps.mavlink.translator.payload import Payload
 from m100link.apps.mavlink.translator.vehicle_state import (
     CAMERA,
@@ -131,6 +135,7 @@ class MavlinkVehicle:
         self.files = FileService(
             logs, self._send, lambda work, name: known.background.spawn(work, name)
         )
+        self.files.made |= METADATA
         self.world.is_fenced = self._is_fenced
         self._breach_m: float | None = None  # the least since it is outside; None inside
         # Peers that wait for the answer to arming, and when each last heard that it takes time.
@@ -426,6 +431,7 @@ class MavlinkVehicle:
                 self._missions.current_message(is_flying=self.manager.flies_mission)
             ],
             LAYOUTS["CURRENT_MODE"].number: lambda: [current(self.manager.mode)],
+            LAYOUTS["COMPONENT_METADATA"].number: lambda: [component_metadata()],
             LAYOUTS["HEARTBEAT"].number: lambda: [self._heartbeat()],
             LAYOUTS["MESSAGE_INTERVAL"].number: lambda: [self._interval(_whole(parameter), peer)],
         }.get(number)
