@@ -65,6 +65,7 @@ _TIME_LIMIT = _Range(0, 999, "s", ", or None")
 _ACTION_REPEAT = _Range(0, MOST_REPEATS, "")
 _MAX_SPEED = _Range(2, FASTEST_M_S, "m/s")
 _REPEAT = _Range(1, 2, "")
+_ACTIONS = "Stay, TakePhoto, StartVideo, StopVideo, TurnTo, GimbalPitch"
 _PARAMETERS = {Stay: _Range(0, 32.767, "s"), TurnTo: _HEADING, GimbalPitch: _PITCH}
 
 
@@ -80,26 +81,40 @@ def problems(plan: PlanValues) -> Iterator[BadPlan]:
         yield from _problems_of_way(plan)
 
 
+def wrong(
+    field: str,
+    value: object,
+    said: str,
+    remedy: str,
+    limit: object = None,
+    point: int | None = None,
+) -> BadPlan:
+    """The error of a field of a plan, or of one of its points."""
+    place = field if point is None else f"waypoint {point}: {field}"
+    return BadPlan(
+        f"{place} {said}", point=point, field=field, value=value, limit=limit, remedy=remedy
+    )
+
+
 def _outside(
     value: object, limits: _Range, field: str, point: int | None = None, *, whole: bool = False
 ) -> Iterator[BadPlan]:
-    place = field if point is None else f"waypoint {point}: {field}"
     found = number(value)
     if found is None or not math.isfinite(found):
-        seen = f"{place} is {_shown(value)}, not a finite number"
+        said = f"is {_shown(value)}, not a finite number"
     elif not limits.low <= found <= limits.high:
         above = found > limits.high
         limit = limits.high if above else limits.low
         side = "above" if above else "below"
-        seen = f"{place} {found:g} is {side} {limit:g} {limits.unit}".replace(" °", "°").rstrip()
+        said = f"{found:g} is {side} {limit:g} {limits.unit}".replace(" °", "°").rstrip()
     elif whole and found != int(found):
-        seen = f"{place} is {found:g}, not a whole number"
+        said = f"is {found:g}, not a whole number"
     else:
         return
     remedy = str(limits)
     if limits is _HEADING and found is not None and abs(found) <= 360:
         remedy += f"; {found - math.copysign(360, found):g}° is the same direction"
-    yield BadPlan(seen, point=point, field=field, value=value, limit=limits[:2], remedy=remedy)
+    yield wrong(field, value, said, remedy, limits[:2], point)
 
 
 def _shown(value: object) -> str:
@@ -124,13 +139,7 @@ def _problems_of_choices(plan: PlanValues) -> Iterator[BadPlan]:
         value = getattr(plan, field)
         if not isinstance(value, kind):
             names = ", ".join(f"{kind.__name__}.{one.name}" for one in kind)
-            yield BadPlan(
-                f"{field} is {_shown(value)}",
-                field=field,
-                value=value,
-                limit=tuple(kind),
-                remedy=f"one of {names}",
-            )
+            yield wrong(field, value, f"is {_shown(value)}", f"one of {names}", tuple(kind))
     yield from _not_bool(plan.gimbal_by_waypoint, "gimbal_by_waypoint")
     yield from _not_bool(plan.take_off, "take_off")
     yield from _outside(plan.repeat, _REPEAT, "repeat", whole=True)
@@ -138,15 +147,7 @@ def _problems_of_choices(plan: PlanValues) -> Iterator[BadPlan]:
 
 def _not_bool(value: object, field: str, point: int | None = None) -> Iterator[BadPlan]:
     if not isinstance(value, bool):
-        place = field if point is None else f"waypoint {point}: {field}"
-        yield BadPlan(
-            f"{place} is {_shown(value)}",
-            point=point,
-            field=field,
-            value=value,
-            limit=(False, True),
-            remedy="True or False",
-        )
+        yield wrong(field, value, f"is {_shown(value)}", "True or False", (False, True), point)
 
 
 def _problems_of_speed(plan: PlanValues) -> Iterator[BadPlan]:
@@ -187,13 +188,8 @@ def _problems_of_actions(index: int, waypoint: Waypoint, trace: Trace) -> Iterat
         yield from _outside(waypoint.action_time_limit, _TIME_LIMIT, "action_time_limit", index)
     actions = waypoint.actions
     if not isinstance(actions, tuple):
-        yield BadPlan(
-            f"waypoint {index}: actions is {_shown(actions)}",
-            point=index,
-            field="actions",
-            value=actions,
-            remedy="a list of Stay, TakePhoto, StartVideo, StopVideo, TurnTo, GimbalPitch",
-        )
+        remedy = f"a list of {_ACTIONS}"
+        yield wrong("actions", actions, f"is {_shown(actions)}", remedy, point=index)
         return
     if len(actions) > MOST_ACTIONS:
         yield BadPlan(
@@ -220,16 +216,11 @@ def _problems_of_actions(index: int, waypoint: Waypoint, trace: Trace) -> Iterat
 def _problems_of_action(index: int, field: str, action: object) -> Iterator[BadPlan]:
     kind: Any = type(action)
     if kind not in ACTIONS.values():
-        made = action.__name__ if isinstance(action, type) and action in ACTIONS.values() else ""
-        yield BadPlan(
-            f"waypoint {index}: {field} is {f'the class {made}' if made else _shown(action)}",
-            point=index,
-            field=field,
-            value=action,
-            remedy=f"an action is made by calling it: {made}(…)"
-            if made
-            else "one of Stay, TakePhoto, StartVideo, StopVideo, TurnTo, GimbalPitch",
-        )
+        said, remedy = f"is {_shown(action)}", f"one of {_ACTIONS}"
+        if isinstance(action, type) and action in ACTIONS.values():
+            said = f"is the class {action.__name__}"
+            remedy = f"an action is made by calling it: {action.__name__}(…)"
+        yield wrong(field, action, said, remedy, point=index)
         return
     for name in kind.__match_args__:
         yield from _outside(getattr(action, name), _PARAMETERS[kind], f"{field}.{name}", index)

@@ -17,6 +17,7 @@ from typing import Any
 
 from m100link.errors import BadPlan
 from m100link.errors.texts import read_json
+from m100link.missions.checks import wrong
 from m100link.missions.waypoint import (
     ACTIONS,
     CHOICES,
@@ -27,6 +28,7 @@ from m100link.missions.waypoint import (
 
 FORMAT = "m100link waypoint plan"
 VERSION = 1
+_GIVE_A_PLAN = "give a plan as JSON, or a .plan of QGroundControl"
 
 _FIELDS = ("speed", "max_speed", *CHOICES, "gimbal_by_waypoint", "repeat", "take_off")
 _POINT_FIELDS = tuple(field.name for field in fields(Waypoint) if field.name != "_")
@@ -86,17 +88,12 @@ def load_object(text: str | bytes) -> dict[str, Any]:
         decoded = text.decode("utf-8-sig") if isinstance(text, bytes) else text.lstrip("\ufeff")
         value = read_json(decoded, pairs=_object)
     except UnicodeDecodeError as error:
-        raise BadPlan(
-            f"the file is not text: byte {error.start} is not UTF-8",
-            remedy="give a plan as JSON, or a .plan of QGroundControl",
-        ) from None
+        seen = f"the file is not text: byte {error.start} is not UTF-8"
+        raise BadPlan(seen, remedy=_GIVE_A_PLAN) from None
     except BadPlan:
         raise
     except ValueError as error:
-        raise BadPlan(
-            f"the file is not JSON: {error}",
-            remedy="give a plan as JSON, or a .plan of QGroundControl",
-        ) from None
+        raise BadPlan(f"the file is not JSON: {error}", remedy=_GIVE_A_PLAN) from None
     if not isinstance(value, dict):
         raise BadPlan(f"the file is JSON, but {_named(value)} and not an object")
     return value
@@ -155,12 +152,8 @@ def from_json(document: Mapping[str, Any]) -> dict[str, Any]:
             arguments[name] = _choice(name, kind, arguments[name])
     points = document.get("waypoints")
     if not isinstance(points, list):
-        raise BadPlan(
-            "waypoints is missing" if points is None else f"waypoints is {_named(points)}",
-            field="waypoints",
-            value=points,
-            remedy='"waypoints": a list of objects',
-        )
+        said = "is missing" if points is None else f"is {_named(points)}"
+        raise wrong("waypoints", points, said, '"waypoints": a list of objects')
     arguments["waypoints"] = [_waypoint(index, point) for index, point in enumerate(points)]
     return arguments
 
@@ -184,13 +177,8 @@ def _refuse_unknown(
 def _choice(field: str, kind: type[IntEnum], value: object) -> IntEnum:
     names = {one.name.lower(): one for one in kind}
     if not isinstance(value, str) or value not in names:
-        raise BadPlan(
-            f"{field} is {_short(value)}",
-            field=field,
-            value=value,
-            limit=tuple(names),
-            remedy=f"one of {', '.join(names)}",
-        )
+        remedy = f"one of {', '.join(names)}"
+        raise wrong(field, value, f"is {_short(value)}", remedy, tuple(names))
     return names[value]
 
 
@@ -206,22 +194,12 @@ def _waypoint(index: int, found: object) -> Waypoint:
     _refuse_unknown(found, _POINT_FIELDS, index)
     for name in _NEEDED:
         if name not in found:
-            raise BadPlan(
-                f"waypoint {index}: {name} is missing",
-                point=index,
-                field=name,
-                remedy=f"{', '.join(_NEEDED)} are needed",
-            )
+            raise wrong(name, None, "is missing", f"{', '.join(_NEEDED)} are needed", point=index)
     values = dict(found)
     actions = values.get("actions", [])
     if not isinstance(actions, list):
-        raise BadPlan(
-            f"waypoint {index}: actions is {_named(actions)}",
-            point=index,
-            field="actions",
-            value=actions,
-            remedy='a list such as ["take_photo", {"stay": 2}]',
-        )
+        remedy = 'a list such as ["take_photo", {"stay": 2}]'
+        raise wrong("actions", actions, f"is {_named(actions)}", remedy, point=index)
     values["actions"] = [
         _action(index, f"actions[{place}]", action) for place, action in enumerate(actions)
     ]
@@ -236,14 +214,8 @@ def _action(index: int, field: str, value: object) -> WaypointAction:
         if name in _NUMBERED:
             return _NUMBERED[name](number)
     choices = [f'"{name}"' for name in _WORDS] + [f'{{"{name}": …}}' for name in _NUMBERED]
-    raise BadPlan(
-        f"waypoint {index}: {field} is {_short(value)}",
-        point=index,
-        field=field,
-        value=value,
-        limit=tuple(choices),
-        remedy=f"one of {', '.join(choices)}",
-    )
+    remedy = f"one of {', '.join(choices)}"
+    raise wrong(field, value, f"is {_short(value)}", remedy, tuple(choices), index)
 
 
 # -- plans in files: reading, writing, and which kind a file is ------------------------------------

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from itertools import accumulate
 from typing import TYPE_CHECKING, Any, Self
 
-from m100link.errors import BadPlan
 from m100link.geodesy import LocalFrame, MapView, distance_m, svg_dot, svg_line, svg_text
 from m100link.geodesy import svg as drawing
 from m100link.missions.checks import (
@@ -17,6 +16,7 @@ from m100link.missions.checks import (
     leg_lengths,
     problems,
     remarks,
+    wrong,
 )
 from m100link.missions.waypoint import (
     AtEnd,
@@ -105,12 +105,7 @@ class WaypointPlan(PlanValues):
 
     def __post_init__(self) -> None:
         if not isinstance(self.waypoints, Iterable):
-            raise BadPlan(
-                f"waypoints is {self.waypoints!r}",
-                field="waypoints",
-                value=self.waypoints,
-                remedy="a list of Waypoint",
-            )
+            raise wrong("waypoints", self.waypoints, f"is {self.waypoints!r}", "a list of Waypoint")
         kept: dict[str, Any] = {
             "waypoints": tuple(self.waypoints),
             "speed": as_single(self.speed),
