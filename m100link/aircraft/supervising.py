@@ -53,7 +53,7 @@ __all__ = [
 _logger = logging.getLogger(__name__)
 
 
-# -- where a connection that is kept stands, as a table; pauses between attempts; what consumer ----
+# -- where a connection that is kept stands, as a table; pauses between attempts -------------------
 # See :func:`m100link.supervise`.
 
 

@@ -188,7 +188,7 @@ class ShieldedTask:
             raise cancelled
 
 
-# -- signals take the stop path of every control block of the process, and act when it has ende ----
+# -- signals take the stop path of every control block of the process, and act when it ended -------
 
 
 NUMBERS: tuple[signal.Signals, ...] = tuple(

@@ -21,7 +21,7 @@ from m100link.protocol.records import Attitude, FlightPhase, FlightStatus, Posit
 from m100link.protocol.setpoint import Horizontal, ReferenceFrame, Setpoint, Vertical, Yaw
 from m100link.telemetry.state import STEER_S, AircraftState
 
-# -- check that the aircraft follows setpoints: the wire to it may be broken while all else wor ----
+# -- whether the aircraft follows setpoints: the wire to it may be broken, and all else work -------
 
 
 FOLLOW_S = 1.2

@@ -170,7 +170,7 @@ class RateLimiter:
         return Thinned(packages, row)
 
 
-# -- values over time in few points, however long the flight: its peaks stay, and so do its hol ----
+# -- values over time in few points, however long the flight: peaks and holes stay -----------------
 
 
 _MOST_BUCKETS = 800

@@ -113,7 +113,7 @@ class FlightPath:
         ]
 
 
-# -- what a flight's log tells beside telemetry: commands and their answers, control, connectio ----
+# -- what a flight's log tells beside telemetry: commands, answers, control, connection ------------
 
 
 _STREAMS = {"move", "virtual_rc_data", "follow_target"}  # sent many times a second

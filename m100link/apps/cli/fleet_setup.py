@@ -272,7 +272,7 @@ async def _serve_console(
     return ExitCode.OK
 
 
-# -- ``m100link fleet pki`` and ``fleet acl``: certificates of a fleet, and who may do what in  ----
+# -- ``m100link fleet pki`` and ``fleet acl``: certificates, and who may do what -------------------
 
 
 pki = group("pki", "Certificates and signing keys of a fleet, and an authority that issues them.")

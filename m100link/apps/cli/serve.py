@@ -412,7 +412,7 @@ async def console(
     )
 
 
-# -- ``m100link mavlink``: aircraft as vehicles for MAVSDK, QGroundControl and every other prog ----
+# -- ``m100link mavlink``: aircraft as vehicles for MAVSDK, QGroundControl and others --------------
 
 
 USUAL = ("udp://127.0.0.1:14550", "udp://127.0.0.1:14540")

@@ -195,7 +195,7 @@ def keys_pressed(press: Callable[[str], object]) -> Iterator[bool]:
         termios.tcsetattr(descriptor, termios.TCSADRAIN, before)
 
 
-# -- how a command ends and what it prints for programs; loads neither an aircraft nor a consol ----
+# -- how a command ends, and what it prints for programs; loads no aircraft and no console ---------
 
 
 _TYPED = {

@@ -306,7 +306,7 @@ def _telemetry(heard: Heard) -> Finding:
     )
 
 
-# -- what the bytes of a line look like: an aircraft's, another program's, or no program's at a ----
+# -- what the bytes of a line look like: an aircraft's, another program's, or nobody's -------------
 # Pure: bytes go in, a description comes out.
 
 

@@ -317,7 +317,7 @@ def _write(files: dict[Path, bytes], *, force: bool) -> None:
             raise BadAuthority(f"{path} cannot be written: {error.strerror}") from error
 
 
-# -- rules for a router of zenoh, made of the file of rights; and what somebody may do, in word ----
+# -- rules for a router of zenoh, made of the file of rights; what somebody may do, in words -------
 # Everything is denied that no rule allows, in both directions: a question has to come in from who
 # asks and to go out to the agent, the answer the other way round, and so has every declaration that
 # lets the two know of each other. A rule too few looks as if nobody were there. The router sees

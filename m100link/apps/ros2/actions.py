@@ -243,7 +243,7 @@ def _before(one: Mapping[str, int], other: Mapping[str, int]) -> bool:
     return (one["sec"], one["nanosec"]) <= (other["sec"], other["nanosec"])
 
 
-# -- what actions fly: each a few orders to the agent, one after the other, and a way to end th ----
+# -- what actions fly: each a few orders to the agent, one by one, and a way to end them -----------
 
 
 _CLOSE_M = 0.3  # a climb of less than this after the take-off is not asked for

@@ -208,7 +208,7 @@ def trigger(doing: Callable[[], Awaitable[None]], done: str) -> Call:
     return answering(lambda _: doing(), done)
 
 
-# -- what the types of the node are, for who asks: the service of each node of rclcpp (REP 2016 ----
+# -- what the types of the node are, for who asks: a service of each node of rclcpp ----------------
 
 
 _KIND = "type_description_interfaces/srv/GetTypeDescription"
@@ -265,7 +265,7 @@ def _refused(why: str) -> Mapping[str, Any]:
     return {"successful": False, "failure_reason": why, **_NOTHING}
 
 
-# -- whether programs of others still run: a frozen one keeps its tokens for as long as its lea ----
+# -- whether programs of others still run: a frozen one keeps its tokens for a lease ---------------
 # That is 10 s by zenoh's default and 60 s by rmw_zenoh's. Both have an answer at their admin space
 # though (rmw_zenoh's sessions by default), given by threads of zenoh's however busy the program is.
 # A session that has answered and does so no more is gone; the lease decides for the others.

@@ -193,7 +193,7 @@ class Names:
         return f"{inner}/{name}" if inner else name
 
 
-# -- who is in the graph: which nodes could have asked for something, and whether they still ar ----
+# -- who is in the graph: which nodes could have asked for something, and which are left -----------
 
 
 _MOST = 4 * DEPTH  # tokens that are known: a graph of hundreds of nodes has fewer

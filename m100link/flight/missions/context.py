@@ -200,7 +200,7 @@ def check_way(
     return distance
 
 
-# -- how far a waypoint mission is, read from its pushes. No clock and no line: values in, news ----
+# -- how far a waypoint mission is, read from its pushes: values in, news out ----------------------
 # Pushes are not acknowledged. The status makes up for an event that was lost, so that a program
 # gets the event of each waypoint once and in order.
 

@@ -128,7 +128,7 @@ class ActionRunner:
         return not self._is_done
 
 
-# -- whether the aircraft may begin a mission: control, what it does already, GPS, home, batter ----
+# -- whether the aircraft may begin a mission: control, what it does, GPS, home, battery -----------
 
 
 _OK = MissionCode.SUCCESS

@@ -211,7 +211,7 @@ def _short(value: object) -> str:
     return text if len(text) <= 40 else f"{text[:37]}..."
 
 
-# -- what is wrong with a show: limits of each aircraft, and how near any two come to each othe ----
+# -- what is wrong with a show: limits of each aircraft, and how near any two come -----------------
 
 
 SKEW_S = 0.05
@@ -238,7 +238,7 @@ class Closest:
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """The findings check of the check of a."""
+    """The findings of the check of a show."""
 
     problems: tuple[BadShow, ...]  #: why it must not be flown; empty if it may be
     remarks: tuple[str, ...]  #: what is allowed and may surprise
