@@ -104,7 +104,7 @@ def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     for name, value in pairs:
         if name in made:
             raise BadPlan(
-                f"{_short(name)} stands twice in one object",
+                f"{short(name)} stands twice in one object",
                 field=name,
                 cause="which of them was meant cannot be known",
                 remedy="leave out one",
@@ -116,10 +116,11 @@ def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 def _named(value: object) -> str:
     """A value by its kind in JSON, with itself where it is short."""
     kinds = {dict: "an object", list: "a list", str: "a text", bool: "", type(None): "null"}
-    return kinds.get(type(value)) or _short(value)
+    return kinds.get(type(value)) or short(value)
 
 
-def _short(value: object) -> str:
+def short(value: object) -> str:
+    """A value as JSON has it, cut off where it is long."""
     text = json.dumps(value, ensure_ascii=False, default=repr)
     return text if len(text) <= 40 else f"{text[:37]}..."
 
@@ -128,7 +129,7 @@ def from_json(document: Mapping[str, Any]) -> dict[str, Any]:
     """Arguments of a plan, from an object; see :meth:`m100link.WaypointPlan.from_json`."""
     if document.get("format") != FORMAT:
         raise BadPlan(
-            f"the format is {_short(document.get('format'))}, not {FORMAT!r}",
+            f"the format is {short(document.get('format'))}, not {FORMAT!r}",
             field="format",
             value=document.get("format"),
             limit=FORMAT,
@@ -138,7 +139,7 @@ def from_json(document: Mapping[str, Any]) -> dict[str, Any]:
     # True equals 1 in Python, and is no version.
     if document.get("version") != VERSION or isinstance(document["version"], bool):
         raise BadPlan(
-            f"version {_short(document.get('version'))} of the format is not known",
+            f"version {short(document.get('version'))} of the format is not known",
             field="version",
             value=document.get("version"),
             limit=VERSION,
@@ -165,7 +166,7 @@ def _refuse_unknown(
         if name not in known:
             place = "" if point is None else f"waypoint {point}: "
             raise BadPlan(
-                f"{place}there is no field {_short(name)}",
+                f"{place}there is no field {short(name)}",
                 point=point,
                 field=name,
                 value=found[name],
@@ -178,7 +179,7 @@ def _choice(field: str, kind: type[IntEnum], value: object) -> IntEnum:
     names = {one.name.lower(): one for one in kind}
     if not isinstance(value, str) or value not in names:
         remedy = f"one of {', '.join(names)}"
-        raise wrong(field, value, f"is {_short(value)}", remedy, tuple(names))
+        raise wrong(field, value, f"is {short(value)}", remedy, tuple(names))
     return names[value]
 
 
@@ -215,7 +216,7 @@ def _action(index: int, field: str, value: object) -> WaypointAction:
             return _NUMBERED[name](number)
     choices = [f'"{name}"' for name in _WORDS] + [f'{{"{name}": …}}' for name in _NUMBERED]
     remedy = f"one of {', '.join(choices)}"
-    raise wrong(field, value, f"is {_short(value)}", remedy, tuple(choices), index)
+    raise wrong(field, value, f"is {short(value)}", remedy, tuple(choices), index)
 
 
 # -- plans in files: reading, writing, and which kind a file is ------------------------------------

@@ -6,7 +6,6 @@ fields are refused by name.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -27,7 +26,7 @@ from m100link.errors import BadPlan, GuardRefused
 from m100link.flight.guards import Envelope
 from m100link.geodesy import LocalFrame, MapView, Spot, escaped, svg_dot, svg_line, svg_text
 from m100link.geodesy import svg as drawing
-from m100link.missions.document import load_object
+from m100link.missions.document import load_object, short
 from m100link.missions.document import read as read_file
 
 FORMAT = "m100link show"
@@ -88,7 +87,7 @@ def _values(found: Mapping[str, Any]) -> dict[str, Any]:
     kind = found.get("format"), found.get("version")
     if kind != (FORMAT, VERSION) or isinstance(kind[1], bool):
         raise BadShow(
-            f"the format is {_short(kind[0])}, version {_short(kind[1])}",
+            f"the format is {short(kind[0])}, version {short(kind[1])}",
             cause="the file is not a show, or another version of m100link wrote it",
             remedy=f'"format": "{FORMAT}", "version": {VERSION}',
         )
@@ -96,7 +95,7 @@ def _values(found: Mapping[str, Any]) -> dict[str, Any]:
     listed = found.get("aircraft")
     if not isinstance(listed, list) or not 1 <= len(listed) <= MAX_AIRCRAFT:
         raise BadShow(
-            f"aircraft is {_short(listed)}",
+            f"aircraft is {short(listed)}",
             remedy=f'"aircraft": a list of 1 to {MAX_AIRCRAFT} objects',
         )
     least = _number(found, "least_distance_m", "the show", 3.0)
@@ -104,7 +103,7 @@ def _values(found: Mapping[str, Any]) -> dict[str, Any]:
         raise BadShow(f"least_distance_m is {least:g}", remedy="more than 0, up to 1000 m")
     name = found.get("name", "")
     if not isinstance(name, str):
-        raise BadShow(f"name is {_short(name)}", remedy="a text")
+        raise BadShow(f"name is {short(name)}", remedy="a text")
     origin = _origin(found, listed)
     tube = _number(found, "tube_m", "the show", 1.5)
     tracks = tuple(_track(index, one, origin, tube) for index, one in enumerate(listed))
@@ -134,7 +133,7 @@ def _origin(found: Mapping[str, Any], listed: Sequence[Any]) -> tuple[float, flo
             )
         origin = {name: origin.get(name) for name in ("latitude_deg", "longitude_deg")}
     if not isinstance(origin, dict):
-        raise BadShow(f"origin is {_short(origin)}", remedy="an object of two numbers")
+        raise BadShow(f"origin is {short(origin)}", remedy="an object of two numbers")
     _refuse_unknown(origin, ("latitude_deg", "longitude_deg"), "origin")
     return _degrees(origin, "the origin")
 
@@ -142,13 +141,13 @@ def _origin(found: Mapping[str, Any], listed: Sequence[Any]) -> tuple[float, flo
 def _track(index: int, found: Any, origin: tuple[float, float], tube: float) -> TimedTrack:
     where = f"aircraft {index}"
     if not isinstance(found, dict) or not isinstance(found.get("name"), str):
-        raise BadShow(f"{where} is {_short(found)}", remedy='an object with "name" and "waypoints"')
+        raise BadShow(f"{where} is {short(found)}", remedy='an object with "name" and "waypoints"')
     where = found["name"] or where
     _refuse_unknown(found, _AIRCRAFT_FIELDS, where)
     listed = found.get("waypoints")
     if not isinstance(listed, list):
         raise BadShow(
-            f"{where}: waypoints is {_short(listed)}", remedy='"waypoints": a list of objects'
+            f"{where}: waypoints is {short(listed)}", remedy='"waypoints": a list of objects'
         )
     frame = LocalFrame(*origin)
     heading = found.get("heading_deg")
@@ -164,7 +163,7 @@ def _track(index: int, found: Any, origin: tuple[float, float], tube: float) -> 
 
 def _point(where: str, found: Any, frame: LocalFrame) -> TimedPoint:
     if not isinstance(found, dict):
-        raise BadShow(f"{where} is {_short(found)}", remedy=f"an object of {', '.join(_BY_METRES)}")
+        raise BadShow(f"{where} is {short(found)}", remedy=f"an object of {', '.join(_BY_METRES)}")
     is_by_degrees = "latitude_deg" in found or "longitude_deg" in found
     _refuse_unknown(found, _BY_DEGREES if is_by_degrees else _BY_METRES, where)
     at, height = _number(found, "at", where), _number(found, "height", where)
@@ -193,7 +192,7 @@ def _number(found: Mapping[str, Any], name: str, where: str, default: float | No
     except (ValueError, OverflowError):
         number = math.nan
     if not math.isfinite(number):
-        missing = "is missing" if name not in found else f"is {_short(value)}"
+        missing = "is missing" if name not in found else f"is {short(value)}"
         raise BadShow(f"{where}: {name} {missing}", remedy="a number")
     return number
 
@@ -202,13 +201,8 @@ def _refuse_unknown(found: Mapping[str, Any], known: Sequence[str], where: str) 
     for name in found:
         if name not in known:
             raise BadShow(
-                f"{where}: there is no field {_short(name)}", remedy=f"one of {', '.join(known)}"
+                f"{where}: there is no field {short(name)}", remedy=f"one of {', '.join(known)}"
             )
-
-
-def _short(value: object) -> str:
-    text = json.dumps(value, ensure_ascii=False, default=repr)
-    return text if len(text) <= 40 else f"{text[:37]}..."
 
 
 # -- what is wrong with a show: limits of each aircraft, and how near any two come -----------------
