@@ -352,6 +352,7 @@ _JOINED = {
     "protocol.commands.follow": "protocol.commands.hotpoint",
     "protocol.commands.sync": "protocol.commands.virtual_rc",
     "sync.payload": "sync.aircraft",
+    "sync.steering": "sync.control",
 }
 
 

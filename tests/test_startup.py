@@ -255,6 +255,7 @@ def test_a_documented_class_has_its_old_name_too(module: str, old: str, now: str
         ("protocol.commands.follow", "protocol.commands.hotpoint", "FollowStart"),
         ("protocol.commands.sync", "protocol.commands.virtual_rc", "Sync"),
         ("sync.payload", "sync.aircraft", "AircraftGimbal"),
+        ("sync.steering", "sync.control", "GimbalRates"),
     ],
 )
 def test_a_documented_module_that_another_took_in_is_that_one_and_warns(

@@ -10,7 +10,6 @@
 """
 
 from m100link.sync.aircraft import Aircraft, connect
-from m100link.sync.control import Control
-from m100link.sync.steering import Hold, Subscription, Ticks
+from m100link.sync.control import Control, Hold, Subscription, Ticks
 
 __all__ = ["Aircraft", "Control", "Hold", "Subscription", "Ticks", "connect"]

@@ -13,10 +13,9 @@ from m100link.flight.mission_state import MissionState
 from m100link.protocol.firmware import FirmwareProfile
 from m100link.protocol.records import AccelerationMode
 from m100link.sim.ports.driver import clock_of
-from m100link.sync.control import Control
+from m100link.sync.control import Control, GimbalRates, Subscription
 from m100link.sync.portal import Handed, Portal, Reads, calls, like, shown_as, waits
 from m100link.sync.signals import SIGNALS
-from m100link.sync.steering import GimbalRates, Subscription
 from m100link.telemetry.device_clock import DeviceClock
 from m100link.telemetry.sample import Sample
 from m100link.telemetry.state import AircraftState

@@ -17,7 +17,7 @@ from m100link import (
     sync,
 )
 from m100link.sim.vehicle.activation import DEMO_APP_ID, DEMO_KEY
-from m100link.sync.steering import Subscription
+from m100link.sync.control import Subscription
 
 Connect = Callable[[], sync.Aircraft]
 

@@ -14,7 +14,8 @@ from m100link import sync
 from m100link.aircraft import payload
 from m100link.flight import control, pacing, setpoints
 from m100link.flight.missions import hotpoint, waypoint
-from m100link.sync import aircraft, steering
+from m100link.sync import aircraft
+from m100link.sync import control as sync_control
 from m100link.telemetry import subscription
 
 PAIRS: list[tuple[type[Any], type[Any]]] = [
@@ -22,13 +23,13 @@ PAIRS: list[tuple[type[Any], type[Any]]] = [
     (sync.Control, control.Control),
     (aircraft.AircraftGimbal, payload.AircraftGimbal),
     (aircraft.AircraftCamera, payload.AircraftCamera),
-    (steering.Subscription, subscription.Subscription),
-    (steering.Ticks, pacing.Ticker),
-    (steering.Hold, setpoints.Hold),
-    (steering.GimbalRates, payload.GimbalRates),
-    (steering.WaypointFlight, waypoint.WaypointFlight),
-    (steering.HotpointFlight, hotpoint.HotpointFlight),
-    (steering.FollowFlight, hotpoint.FollowFlight),
+    (sync_control.Subscription, subscription.Subscription),
+    (sync_control.Ticks, pacing.Ticker),
+    (sync_control.Hold, setpoints.Hold),
+    (sync_control.GimbalRates, payload.GimbalRates),
+    (sync_control.WaypointFlight, waypoint.WaypointFlight),
+    (sync_control.HotpointFlight, hotpoint.HotpointFlight),
+    (sync_control.FollowFlight, hotpoint.FollowFlight),
 ]
 """Each class here, and the one with ``await``."""
 
@@ -65,7 +66,7 @@ def _made(kind: type[Any], inner: object) -> Any:
 
     here = SimpleNamespace(begin=call)
     made._portal = SimpleNamespace(call=call, wait=lambda make: make(here), is_open=True)
-    holder = "_entered" if issubclass(kind, steering._Block) else "_aio"
+    holder = "_entered" if issubclass(kind, sync_control._Block) else "_aio"
     setattr(made, holder, inner)
     return made
 
@@ -107,10 +108,10 @@ def test_each_argument_goes_where_it_was_given(kind: type[Any], real: type[Any])
         method = getattr(_made(kind, inner), name)
         given, args, kwargs = _given(method)
         returned = method(*args, **kwargs)
-        if isinstance(returned, steering._Block):  # it is asked for when it is entered
+        if isinstance(returned, sync_control._Block):  # it is asked for when it is entered
             caller: Any = SimpleNamespace(begin=lambda one, *a, **k: one(*a, **k))
             returned._make(caller)
-        if isinstance(returned, steering.Subscription):
+        if isinstance(returned, sync_control.Subscription):
             assert returned.timeout is given.pop("timeout"), name
         if name == "follow":
             assert inner.calls.pop(0) == ("ticks", (given["rate_hz"],), {})
@@ -164,7 +165,7 @@ def test_iterating_waits_as_long_as_the_subscription_was_told(seconds: float | N
     """:meth:`get` waits as long as its own argument says."""
     waited: list[float | None] = []
 
-    class Told(steering.Subscription[int]):
+    class Told(sync_control.Subscription[int]):
         def get(self, timeout: float | None = None) -> int:
             waited.append(timeout)
             return len(waited)

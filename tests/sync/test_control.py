@@ -4,6 +4,7 @@ import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from itertools import count
@@ -19,17 +20,26 @@ from m100link import (
     AuthorityState,
     Credentials,
     Envelope,
+    Finished,
     Guards,
+    MissionKind,
+    MissionProgress,
+    MissionRunning,
     NoAuthority,
+    Reached,
     Setpoint,
     TaskProgress,
     TelemetryStalled,
+    Uploading,
     UsageError,
     Waypoint,
     WaypointPlan,
     sync,
 )
 from m100link.flight.authority import AuthorityInput
+from tests.flight.foreign_aircraft import APP_ID, KEY, ForeignAircraft, foreign_aircraft
+from tests.flight.missions.foreign import plan
+from tests.waiting import PATIENCE
 
 Connect = Callable[..., sync.Aircraft]
 
@@ -256,3 +266,56 @@ def test_no_lock_written_in_python_is_taken_by_the_thread_that_waits(connect: Co
     assert ("portal.py", "wait") in alarm.called
     locks = {name for file, name in alarm.called if file in ("threading.py", "_base.py")}
     assert locks <= {"current_thread", "RLock"}  # makes one, such as for an import, and takes none
+
+
+# -- a mission: the same events, the same stop -----------------------------------------------------
+
+SHORT = plan([(3.0, 0.0), (6.0, 0.0)], speed=10.0)
+
+
+def connected(there: ForeignAircraft) -> sync.Aircraft:
+    aircraft = sync.connect(there.name)
+    aircraft.activate(Credentials(app_id=APP_ID, key=KEY))
+    aircraft.wait_for(lambda state: state.flight_status is not None, timeout=PATIENCE)
+    return aircraft
+
+
+@pytest.mark.pty
+@pytest.mark.smoke
+def test_it_is_flown_in_a_with_block_and_reported_in_a_loop() -> None:
+    with foreign_aircraft("3.1") as there, connected(there) as aircraft:
+        uploading: list[Uploading] = []
+        with aircraft.control() as control:
+            with control.waypoint_mission(SHORT, progress=uploading.append) as mission:
+                events = [e for e in mission if not isinstance(e, MissionProgress)]
+        assert [event.index for event in events if isinstance(event, Reached)] == [0, 1]
+        assert events[-1] == Finished()
+        assert len(uploading) == 2
+        assert mission.is_over
+
+
+@pytest.mark.pty
+def test_an_exception_in_the_block_stops_it_and_setpoints_are_refused_before() -> None:
+    with foreign_aircraft("3.1") as there, connected(there) as aircraft:
+        with pytest.raises(ZeroDivisionError), aircraft.control() as control:
+            with control.waypoint_mission(plan(speed=1.0)) as mission:
+                assert mission.plan == plan(speed=1.0)
+                with pytest.raises(MissionRunning):
+                    control.send(NORTH)
+                mission.pause()
+                assert mission.is_paused
+                mission.resume()
+                assert mission.set_speed(2.0) == 2.0
+                raise ZeroDivisionError
+        assert not there.missions.flying
+
+
+@pytest.mark.pty
+def test_one_that_is_detached_flies_on() -> None:
+    with foreign_aircraft("3.1") as there, connected(there) as aircraft:
+        with aircraft.control() as control, control.waypoint_mission(plan(speed=1.0)) as mission:
+            mission.detach()
+        time.sleep(0.2)
+        assert there.missions.flying
+        with aircraft.control() as control:
+            assert control.stop_mission() is MissionKind.WAYPOINT

@@ -13,7 +13,7 @@ from m100link.aircraft import payload
 from m100link.flight import control, setpoints
 from m100link.flight.missions import hotpoint, waypoint
 from m100link.sync import aircraft as sync_aircraft
-from m100link.sync import steering
+from m100link.sync import control as sync_control
 from m100link.sync.portal import Reads
 from m100link.telemetry import subscription
 from tests import limits
@@ -33,10 +33,10 @@ PAIRS: list[tuple[type[Any], type[Any]]] = [
     (sync.Hold, setpoints.Hold),
     (sync_aircraft.AircraftGimbal, payload.AircraftGimbal),
     (sync_aircraft.AircraftCamera, payload.AircraftCamera),
-    (steering.GimbalRates, payload.GimbalRates),
-    (steering.WaypointFlight, waypoint.WaypointFlight),
-    (steering.HotpointFlight, hotpoint.HotpointFlight),
-    (steering.FollowFlight, hotpoint.FollowFlight),
+    (sync_control.GimbalRates, payload.GimbalRates),
+    (sync_control.WaypointFlight, waypoint.WaypointFlight),
+    (sync_control.HotpointFlight, hotpoint.HotpointFlight),
+    (sync_control.FollowFlight, hotpoint.FollowFlight),
 ]
 
 
