@@ -274,11 +274,7 @@ _LAYOUTS: dict[type[Command], tuple[Layout, ...]] = {
     control.Arm: (Layout(Number("on")),),
     gimbal.GimbalSpeed: (Layout(*_ANGLES, Number("flags")),),
     gimbal.GimbalAngle: (Layout(*_ANGLES, Number("mode"), Number("duration")),),
-    gimbal.TakePhoto: (_ANY,),
-    gimbal.StartVideo: (_ANY,),
-    gimbal.StopVideo: (_ANY,),
     virtual_rc.VirtualRcSettings: (Layout(Number("flags")),),
-    virtual_rc.VirtualRcData: (Layout(Numbers("channels", 16, Number("channel", "I"))),),
 }
 _KINDS: dict[type[Command], Mapping[int, Layout]] = {
     MissionStatus: {kind.KIND: kind.LAYOUT for kind in STATUSES},

@@ -9,9 +9,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntFlag
 from struct import Struct
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 from m100link.protocol.command import Problem, Push, exactly, in_range
+from m100link.protocol.fields import Laid, Layout, Number
 from m100link.protocol.firmware import FirmwareProfile, Generation
 
 GIMBAL_LIMITS_DEG = {"yaw": (-320.0, 320.0), "roll": (-35.0, 35.0), "pitch": (-90.0, 30.0)}
@@ -184,18 +185,12 @@ class GimbalAngle(Push, address=(0x01, 0x1B), level=1, encrypted=True, since=Gen
 
 
 @dataclass(frozen=True, slots=True)
-class _CameraCommand(Push, level=1, encrypted=True, since=Generation.V2_3):
+class _CameraCommand(Laid, Push, level=1, encrypted=True, since=Generation.V2_3):
     """One byte that may be anything, as in the version query."""
 
+    LAYOUT: ClassVar[Layout] = Layout(Number("any"))
+
     any: int = 0
-
-    def value(self, profile: FirmwareProfile) -> bytes:
-        """One byte.
-
-        Raises ``BadValue``: it does not fit.
-        """
-        in_range("any", self.any, 0, 255)
-        return bytes((self.any,))
 
     @classmethod
     def parse(cls, value: bytes, profile: FirmwareProfile) -> Self:
@@ -205,10 +200,6 @@ class _CameraCommand(Push, level=1, encrypted=True, since=Generation.V2_3):
     def fields(self) -> dict[str, Any]:
         """Nothing: the byte has no meaning."""
         return {}
-
-    def raw(self) -> dict[str, Any]:
-        """The byte that may be anything."""
-        return {"any": self.any}
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,19 +7,16 @@ control authority, so these are movement: no program sends them past what watche
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from struct import Struct
 from typing import Any, ClassVar, Self
 
-from m100link.protocol.command import Movement, Problem, Push, exactly, in_range
-from m100link.protocol.fields import Laid, Layout, Number
+from m100link.protocol.command import Movement, Problem, Push, exactly
+from m100link.protocol.fields import Laid, Layout, Number, Numbers
 from m100link.protocol.firmware import FirmwareProfile, Generation
 
 CENTRE, TRAVEL = 1024, 660  # each channel is 1024 ± 660
 
 CHANNELS = ("roll", "pitch", "throttle", "yaw", "gear", "go_home", "mode")
 """The channels that mean something, in the order of the wire; nine more are spare."""
-
-_DATA = Struct("<16I")
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +71,7 @@ class VirtualRcSettings(Movement, address=(0x05, 0x00), encrypted=True, since=Ge
 
 
 @dataclass(frozen=True, slots=True)
-class VirtualRcData(Movement, address=(0x05, 0x01), encrypted=True, since=Generation.V3_1):
+class VirtualRcData(Laid, Movement, address=(0x05, 0x01), encrypted=True, since=Generation.V3_1):
     """0x05/0x01, sticks and switches, 2 to 25 times a second; a second without them ends it.
 
     Attributes:
@@ -82,40 +79,15 @@ class VirtualRcData(Movement, address=(0x05, 0x01), encrypted=True, since=Genera
             1684 up and 1324 down; mode is 1552 for P, 1024 for A, 496 for F.
     """
 
+    LAYOUT: ClassVar[Layout] = Layout(
+        Numbers("channels", 16, Number("channel", "I", CENTRE - TRAVEL, CENTRE + TRAVEL))
+    )
+
     channels: tuple[int, ...]
-
-    def value(self, profile: FirmwareProfile) -> bytes:
-        """64 bytes.
-
-        Raises:
-            UsageError: Not 16 channels, or one beyond its range.
-        """
-        in_range("number of channels", len(self.channels), 16, 16)
-        for problem in self.problems():
-            raise problem.error(self.NAME)
-        return _DATA.pack(*self.channels)
-
-    @classmethod
-    def parse(cls, value: bytes, profile: FirmwareProfile) -> Self:
-        """64 bytes; channels beyond their range are kept as they came."""
-        return cls(_DATA.unpack(exactly(value, _DATA.size, cls.NAME)))
 
     def fields(self) -> dict[str, Any]:
         """The channels that mean something by name, and all of them as they are."""
         return dict(zip(CHANNELS, self.channels, strict=False)) | self.raw()
-
-    def raw(self) -> dict[str, Any]:
-        """The channels."""
-        return {"channels": list(self.channels)}
-
-    def problems(self) -> list[Problem]:
-        """Channels beyond their range."""
-        low, high = CENTRE - TRAVEL, CENTRE + TRAVEL
-        return [
-            Problem(f"channels[{channel}]", value, f"{low} to {high}")
-            for channel, value in enumerate(self.channels)
-            if not low <= value <= high
-        ]
 
 
 # -- command set 0x04 of firmware 3.1: a pulse to synchronise sensors with -------------------------
