@@ -19,7 +19,7 @@ from m100link.apps.agent import transports
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.messages import Event
 from m100link.apps.agent.server.agent import Agent
-from m100link.apps.agent.server.connection import Connect, by_driver, by_url
+from m100link.apps.agent.server.connection import Connect, by_driver, by_url, envelope_of
 from m100link.apps.agent.server.replays import Replays
 from m100link.apps.agent.server.server import AgentServer
 from m100link.apps.station.config import MOST_AIRCRAFT, ONLY_NAME, Settings
@@ -33,7 +33,6 @@ from m100link.apps.station.listeners import (
 )
 from m100link.apps.station.supervisor import ChildProcess, supervised
 from m100link.errors import UsageError
-from m100link.flight.guards import Envelope
 from m100link.geodesy import LocalFrame
 from m100link.log.folder import Flights, default_folder
 from m100link.protocol.commands.activation import Credentials
@@ -146,7 +145,7 @@ async def owning(
                 connect,
                 credentials=credentials,
                 keep_authority=settings.keep_authority,
-                envelope=Envelope(settings.max_height, settings.max_radius),
+                envelope=envelope_of(settings.max_height, settings.max_radius),
                 leases_before=leases_before,
                 replay=replay,
             )

@@ -14,6 +14,7 @@ from m100link.aircraft.connecting import be_recorded
 from m100link.apps.agent.background import call_each, goes_on
 from m100link.apps.agent.messages import Journal
 from m100link.errors import LinkError, M100Error, PortNotFound
+from m100link.flight.guards import Envelope
 from m100link.link import Link
 from m100link.link.statistics import TappedProtocol
 from m100link.protocol.commands.activation import Version
@@ -157,6 +158,14 @@ class AircraftConnection:
 
 
 # -- how a station reaches its aircraft: by URL, or in memory when it brings its own -------------
+
+
+def envelope_of(max_height: float, max_radius: float) -> Envelope:
+    """The envelope of an agent: metres above the take-off point, and from where control began.
+
+    Raises UsageError: one of them cannot be.
+    """
+    return Envelope(max_height_m=max_height, max_radius_m=max_radius)
 
 
 def by_url(

@@ -20,6 +20,7 @@ from m100link.apps.agent.server.connection import (
     ConnectionState,
     by_driver,
     by_url,
+    envelope_of,
 )
 from m100link.errors import LinkError, PortNotFound, UsageError
 from m100link.protocol.firmware import FIRMWARE_2_3
@@ -203,6 +204,11 @@ class Logs:
 
     async def close(self) -> None:
         self.seen.append("close")
+
+
+def test_an_envelope_has_its_height_and_its_radius_in_metres() -> None:
+    envelope = envelope_of(50.0, 300.0)
+    assert (envelope.max_height_m, envelope.max_radius_m) == (50.0, 300.0)
 
 
 @pytest.mark.parametrize("is_recorded", [True, False])
