@@ -418,10 +418,11 @@ class CommandProtocol:
     # -- camera and gimbal -----------------------------------------------------------------------
 
     def look_at(self, asked: Asked, now: float) -> MavResult | None:
-        """DO_SET_ROI_LOCATION."""
+        """DO_SET_ROI_LOCATION; the altitude as in :meth:`orbit`, which MAVSDK sends likewise."""
         if not self._is_place(asked):
             raise UsageError("gimbal: the place is missing")
-        return self.payload.look_at(asked, (asked.x, asked.y, self._height_of(asked)), now)
+        height = self._height_of(replace(asked, frame=MavFrame.GLOBAL))
+        return self.payload.look_at(asked, (asked.x, asked.y, height), now)
 
 
 def _is_byte(value: float) -> bool:
@@ -514,7 +515,9 @@ COMMANDS: Mapping[int, CommandRow] = {
         CommandPart.GIMBAL,
     ),
     MavCommand.DO_SET_ROI_LOCATION: CommandRow(
-        CommandProtocol.look_at, "the gimbal looks there until its next order", CommandPart.GIMBAL
+        CommandProtocol.look_at,
+        "the gimbal looks there until its next order; altitude above sea level in every frame",
+        CommandPart.GIMBAL,
     ),
     MavCommand.DO_SET_ROI_NONE: CommandRow(
         lambda one, asked, now: one.payload.look_at_nothing(asked, now),
