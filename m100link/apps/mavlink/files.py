@@ -14,6 +14,7 @@ from enum import IntEnum
 from pathlib import Path
 from typing import Any
 
+from m100link.apps.agent.client import AgentClient
 from m100link.apps.mavlink.translator.codec import MOST_PEERS, Address, MavlinkMessage, Peer
 from m100link.errors import UsageError
 from m100link.log.folder import LogDirectory, LogEntry
@@ -92,11 +93,11 @@ class FileService:
         self,
         folder: Path | None,  # of the flight logs; None where nothing is recorded
         send: Callable[[MavlinkMessage, Peer | tuple[Address, ...]], None],
-        spawn: Callable[[Coroutine[Any, Any, None], str], object],  # runs beside the bridge
+        agent: AgentClient,  # whose tasks run beside the bridge
     ) -> None:
         self._directory = LogDirectory(folder)
         self._seen: tuple[float, list[LogEntry]] | None = None  # when, s; the oldest first
-        self._send, self._spawn = send, spawn
+        self._send, self._agent = send, agent
         self.made: dict[str, bytes] = {}
         # The newest list of each peer: numbers of logs are places in it.
         self._lists: dict[Peer, list[LogEntry]] = {}
@@ -125,7 +126,7 @@ class FileService:
                 self._asking.discard(asking)
 
         self._asking.add(asking)
-        self._spawn(do(), f"MAVLink {kind}")
+        self._agent.background.spawn(do(), f"MAVLink {kind}")
 
     async def _entries(self) -> list[LogEntry]:
         """The logs, the oldest first."""

@@ -8,6 +8,7 @@ import struct
 from collections.abc import AsyncIterator, Coroutine
 from pathlib import Path
 from random import Random
+from types import SimpleNamespace
 from typing import Any
 
 import anyio
@@ -342,7 +343,8 @@ async def test_a_disk_that_hangs_costs_its_peer_an_answer_and_nothing_else(folde
     def spawn(work: Coroutine[Any, Any, None], name: str) -> None:
         tasks.add(asyncio.ensure_future(work))
 
-    service = Stuck(folder, lambda *_: None, spawn)
+    agent: Any = SimpleNamespace(background=SimpleNamespace(spawn=spawn))
+    service = Stuck(folder, lambda *_: None, agent)
     for number in range(1000):
         fields = {"id": 0, "ofs": 0, "count": 90}
         service.handlers["LOG_REQUEST_DATA"](MavlinkMessage("LOG_REQUEST_DATA", fields), peer, 0.0)

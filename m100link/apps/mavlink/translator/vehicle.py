@@ -108,9 +108,7 @@ class MavlinkVehicle:
         self.manager = FlightModeManager(self.world, tell, streams)
         self.manager.on_armed = self._armed
         self._rates = telemetry.Rates(self.world)
-        self._payload = Payload(
-            self.world, self.manager, tell, self._answer, lambda: self._camera_changed()
-        )
+        self._payload = Payload(self.world, self.manager, tell, self._answer, self._camera_changed)
         self._commands = CommandProtocol(
             self.world,
             self.manager,
@@ -132,9 +130,7 @@ class MavlinkVehicle:
         )
         self._missions.on_upload = self._log_items
         self.flights = MissionFlights(self.world, self.manager, self._missions, tell)
-        self.files = FileService(
-            logs, self._send, lambda work, name: known.background.spawn(work, name)
-        )
+        self.files = FileService(logs, self._send, known)
         self.files.made |= METADATA
         self.world.is_fenced = self._is_fenced
         self._breach_m: float | None = None  # the least since it is outside; None inside
