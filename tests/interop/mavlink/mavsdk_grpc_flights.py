@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import sys
+import tempfile
 from collections.abc import Awaitable, Callable
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 try:
@@ -134,6 +136,31 @@ async def patrol(drone: Any) -> None:
     await asyncio.sleep(3600.0)
 
 
+async def payload(drone: Any) -> None:
+    """Point the gimbal, take a photo and fetch the newest flight log, on the ground and unarmed."""
+    await ready(drone)
+    gimbal = import_module(f"{PACKAGE}.gimbal")
+    one = (await first(drone.gimbal.gimbal_list(), lambda found: bool(found.gimbals))).gimbals[0]
+    await drone.gimbal.take_control(one.gimbal_id, gimbal.ControlMode.PRIMARY)
+    ways = (gimbal.GimbalMode.YAW_FOLLOW, gimbal.SendMode.ONCE)
+    await drone.gimbal.set_angles(one.gimbal_id, 0.0, -60.0, 45.0, *ways)
+    await asyncio.sleep(6.0)
+    seen = (await drone.gimbal.get_attitude(one.gimbal_id)).euler_angle_forward
+    assert abs(seen.pitch_deg + 60.0) < 1.0, seen
+    assert abs(seen.yaw_deg - 45.0) < 1.5, seen
+    cameras = await first(drone.camera.camera_list(), lambda found: bool(found.cameras))
+    [camera] = cameras.cameras
+    assert (camera.vendor_name, camera.component_id) == ("DJI", 100)
+    await drone.camera.take_photo(camera.component_id)
+    entries = await drone.log_files.get_entries()
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "flight.mcap"
+        async for _ in drone.log_files.download_log_file(entries[-1], str(path)):
+            pass
+        assert path.stat().st_size == entries[-1].size_bytes
+        assert path.read_bytes().startswith(b"\x89MCAP0\r\n")
+
+
 async def stay(drone: Any) -> None:
     """Fly north by setpoints until somebody ends this program."""
     await up(drone)
@@ -148,6 +175,7 @@ FLIGHTS: dict[str, Callable[[Any], Awaitable[None]]] = {
     "go_to": go_to,
     "setpoints": setpoints,
     "mission": mission_of_three,
+    "payload": payload,
     "stay": stay,
     "patrol": patrol,
 }

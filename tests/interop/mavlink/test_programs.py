@@ -151,6 +151,16 @@ def test_mavsdk_flies(firmware: str, flight: str) -> None:
         assert found.truth()["control"] == "rc"
 
 
+@needs_grpc
+@pytest.mark.parametrize("firmware", ["2.3", "3.1"])
+def test_mavsdk_uses_camera_gimbal_and_logs(firmware: str, tmp_path: Path) -> None:
+    with site(firmware, "--record", str(tmp_path)) as found:
+        grpc = str(free_port(socket.SOCK_STREAM))
+        told = run("mavsdk_grpc_flights.py", "payload", str(found.port), grpc)
+        assert "payload: done" in told
+        assert not found.truth()["motors_on"]
+
+
 @needs_native
 @pytest.mark.parametrize("firmware", FIRMWARES)
 def test_mavsdks_own_library_sees_two_and_flies_one(firmware: str) -> None:
