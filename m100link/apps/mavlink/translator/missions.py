@@ -1,7 +1,7 @@
 """The mission protocol: upload, download, clear, current item, progress; of missions and fences.
 
-An upload is one transaction of one peer. Until its last item is there what was stored before stays,
-so an upload that breaks off changes nothing.
+An upload is one transaction of one peer, and others may upload beside it. The stored
+plan stays until the last item is there, so an upload that breaks off changes nothing.
 """
 
 from __future__ import annotations
@@ -32,12 +32,13 @@ _NOT_STARTED, _ACTIVE, _PAUSED, _COMPLETE, _NONE = 2, 3, 4, 5, 1
 
 @dataclass(slots=True)
 class _Upload:
-    peer: Peer  # who sends them
     kind: int
     count: int
-    asked_at: float  # when the next one was asked for last, s
+    asked_at: float  # when the next one was asked for last, or the last one was answered, s
     items: list[MavlinkMessage] = field(default_factory=list)  # those that are there
     tries: int = 0
+    # The answer to the last one: it may be lost, and that item comes again.
+    result: MissionResult | None = None
 
 
 class MissionProtocol:
@@ -64,9 +65,8 @@ class MissionProtocol:
         self._stored: dict[int, tuple[MavlinkMessage, ...]] = dict.fromkeys(
             (MissionType.MISSION, MissionType.FENCE, MissionType.RALLY), ()
         )
-        self._upload: _Upload | None = None
-        # The answer to an upload, which may be lost: an item that comes again is answered by it.
-        self._answered: tuple[Peer, int, MissionResult, float] | None = None
+        # One of each peer: a slow one keeps nobody else from uploading.
+        self._uploads: dict[Peer, _Upload] = {}
         # Called with who uploaded or cleared a mission, a fence or rally points, its items, and why
         # they are refused; empty where they are not.
         self.on_upload: Callable[[Peer, int, Sequence[MavlinkMessage], str], None] = ignore
@@ -92,7 +92,6 @@ class MissionProtocol:
     # -- what comes in ---------------------------------------------------------------------------
 
     def receive(self, message: MavlinkMessage, peer: Peer, now: float) -> None:
-        upload = self._upload
         kind = message.fields.get("mission_type", MissionType.MISSION)
         if message.name == "MISSION_COUNT":
             self._begin(message["count"], kind, peer, now)
@@ -105,20 +104,16 @@ class MissionProtocol:
             self._give(message["seq"], kind, peer)
         elif message.name == "MISSION_CLEAR_ALL":
             self._clear(kind, peer)
-        elif upload and upload.peer == peer and message["type"] != MissionResult.ACCEPTED:
-            self._upload = None  # MISSION_ACK: it does not want to go on
+        elif message["type"] != MissionResult.ACCEPTED:
+            self._uploads.pop(peer, None)  # MISSION_ACK: it does not want to go on
 
     def _acknowledge(self, result: MissionResult, kind: int, peer: Peer) -> None:
         self._send(MavlinkMessage("MISSION_ACK", {"type": result} | _to(peer, kind)), peer)
 
     def _begin(self, count: int, kind: int, peer: Peer, now: float) -> None:
-        upload = self._upload
-        if upload is not None and upload.peer != peer:
-            self._tell(Severity.WARNING, f"mission: {upload.peer.name} uploads one")
-            self._acknowledge(MissionResult.DENIED, kind, peer)
-            return
-        if upload is not None and (upload.kind, upload.count) == (kind, count):
-            self._ask(upload, now)  # the question that came before was lost
+        upload = self._uploads.get(peer)
+        if upload and (upload.kind, upload.count, upload.result) == (kind, count, None):
+            self._ask(upload, peer, now)  # the question that came before was lost
             return
         why = self._may_change(peer, kind)
         if why:
@@ -131,33 +126,32 @@ class MissionProtocol:
         elif count == 0:
             self._clear(kind, peer)
         else:
-            self._upload = _Upload(peer, kind, count, now)
-            self._ask(self._upload, now)
+            self._uploads[peer] = _Upload(kind, count, now)
+            self._ask(self._uploads[peer], peer, now)
 
-    def _ask(self, upload: _Upload, now: float) -> None:
+    def _ask(self, upload: _Upload, peer: Peer, now: float) -> None:
         upload.asked_at = now
         self.due_at = min(self.due_at, now + _AGAIN_S)
-        fields = {"seq": len(upload.items)} | _to(upload.peer, upload.kind)
-        self._send(MavlinkMessage("MISSION_REQUEST_INT", fields), upload.peer)
+        fields = {"seq": len(upload.items)} | _to(peer, upload.kind)
+        self._send(MavlinkMessage("MISSION_REQUEST_INT", fields), peer)
 
     def _take(self, item: MavlinkMessage, kind: int, peer: Peer, now: float) -> None:
-        upload = self._upload
-        if upload is None or upload.peer != peer or upload.kind != kind:
-            last = self._answered
-            if last is not None and last[:2] == (peer, kind) and now - last[3] < _LATE_S:
-                self._acknowledge(last[2], kind, peer)
+        upload = self._uploads.get(peer)
+        if upload is None or upload.kind != kind:
+            return
+        if upload.result is not None:
+            if now - upload.asked_at < _LATE_S:
+                self._acknowledge(upload.result, kind, peer)
             return
         if item["seq"] != len(upload.items):
             return  # one that came twice, or too early: the next one is asked for again
         upload.items.append(item)
         upload.tries = 0
         if len(upload.items) < upload.count:
-            self._ask(upload, now)
+            self._ask(upload, peer, now)
             return
-        self._upload = None
-        result = self._store(kind, tuple(upload.items), peer)
-        self._answered = peer, kind, result, now
-        self._acknowledge(result, kind, peer)
+        upload.result, upload.asked_at = self._store(kind, tuple(upload.items), peer), now
+        self._acknowledge(upload.result, kind, peer)
 
     def _store(self, kind: int, items: tuple[MavlinkMessage, ...], peer: Peer) -> MissionResult:
         try:
@@ -254,20 +248,23 @@ class MissionProtocol:
 
     def due(self, now: float, *, is_flying: bool) -> Iterator[MavlinkMessage]:
         """The request that has to be repeated, and MISSION_CURRENT."""
-        upload = self._upload
-        if upload is not None and now - upload.asked_at >= _AGAIN_S:
-            upload.tries += 1
-            if upload.tries > _MOST_TRIES:
-                self._upload = None
-                self._acknowledge(MissionResult.OPERATION_CANCELLED, upload.kind, upload.peer)
+        for peer, upload in tuple(self._uploads.items()):
+            is_over, since = upload.result is not None, now - upload.asked_at
+            if is_over and since >= _LATE_S:
+                del self._uploads[peer]
+            elif not is_over and since >= _AGAIN_S:
+                upload.tries += 1
+                if upload.tries <= _MOST_TRIES:
+                    self._ask(upload, peer, now)
+                    continue
+                del self._uploads[peer]
+                self._acknowledge(MissionResult.OPERATION_CANCELLED, upload.kind, peer)
                 self._tell(Severity.WARNING, "mission: the upload broke off, nothing was changed")
-            else:
-                self._ask(upload, now)
         if now - self._sent_at >= _CURRENT_S:
             self._sent_at = now
             yield self.current_message(is_flying=is_flying)
-        again_at = math.inf if self._upload is None else self._upload.asked_at + _AGAIN_S
-        self.due_at = min(self._sent_at + _CURRENT_S, again_at)
+        asked = [one.asked_at + _AGAIN_S for one in self._uploads.values() if one.result is None]
+        self.due_at = min([self._sent_at + _CURRENT_S, *asked])
 
     def current_message(self, *, is_flying: bool) -> MavlinkMessage:
         """MISSION_CURRENT."""

@@ -164,11 +164,16 @@ async def test_a_list_of_a_kind_that_is_not_kept_is_refused(ground: Ground, kind
     assert {one["mission_type"] for one in told} == {kind}
 
 
-async def test_a_second_upload_waits_for_the_first(rig: Rig, ground: Ground) -> None:
+async def test_of_two_uploads_at_a_time_the_last_that_is_whole_counts(
+    rig: Rig, ground: Ground
+) -> None:
     other = Ground(rig, ("127.0.0.1", 7000), 246)
     other.beat()
-    Exchange(ground).send("MISSION_COUNT", count=5)
-    assert await Exchange(other).upload([waypoint(5.0, 5.0)]) is MissionResult.DENIED
+    first = Exchange(ground)
+    first.send("MISSION_COUNT", count=2)
+    assert await Exchange(other).upload([waypoint(5.0, 5.0)]) is MissionResult.ACCEPTED
+    assert await first.upload([waypoint(15.0, 5.0)] * 2) is MissionResult.ACCEPTED
+    assert len(await Exchange(other).download()) == 2
 
 
 @pytest.mark.parametrize(

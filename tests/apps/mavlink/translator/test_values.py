@@ -115,12 +115,29 @@ def test_items_are_asked_for_one_by_one_and_the_last_is_acknowledged() -> None:
     assert one.missions.items[1]["x"] == 225_431_001
 
 
-def test_one_upload_at_a_time_and_a_station_begins_its_own_anew() -> None:
+def test_a_slow_upload_keeps_no_other_station_from_uploading() -> None:
+    """One that sent an item each seven seconds had blocked all others for two hours."""
+    one = Uploads()
+    one.say("COUNT", count=500)
+    for at in range(0, 70, 7):
+        one.item(at // 7, float(at))
+    assert one.say("COUNT", 70.0, OTHER, count=2) == [("REQUEST_INT", 0, 246)]
+    assert one.item(0, 70.1, OTHER) == [("REQUEST_INT", 1, 246)]
+    assert one.item(1, 70.2, OTHER) == [("ACK", OK, 246)]
+    assert one.stored() == 2
+    assert one.item(10, 70.3) == [("REQUEST_INT", 11, 245)], "and is not ended by it"
+    told = [*one.missions.due(70.5, is_flying=False)]
+    assert [message.name for message in told] == ["MISSION_CURRENT"]
+    assert one.answers() == []
+    assert one.missions.due_at == 70.55
+    [*one.missions.due(70.55, is_flying=False)]
+    assert one.answers() == [("REQUEST_INT", 11, 245)]
+
+
+def test_a_station_begins_its_upload_anew() -> None:
     one = Uploads()
     one.say("COUNT", count=3)
     one.item(0)
-    assert one.say("COUNT", peer=OTHER, count=3) == [("ACK", DENIED, 246)]
-    assert "MAVLink 245 at 127.0.0.1:1 uploads one" in one.texts[-1]
     assert one.item(1, peer=OTHER) == one.item(1, mission_type=FENCE) == []
     assert one.say("COUNT", count=2) == [("REQUEST_INT", 0, 245)], "of another length"
     one.item(0)
