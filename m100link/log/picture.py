@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 from m100link.errors import UsageError
 from m100link.geodesy import MapView, Place, svg_dot, svg_line, svg_text
 from m100link.log.channels import Curve
+from m100link.log.report import happened
 from m100link.log.story import FlightSummary, Span
 
 # -- what is drawn of a flight, whether as a picture or as a page: panels, their curves, colour ----
@@ -670,19 +671,10 @@ def _by_phase(
 
 
 def _rows(story: FlightSummary) -> Iterator[str]:
-    said: list[tuple[float, str, str]] = [
-        *((one.begin_s, one.name, "") for one in story.phases),
-        *((one.begin_s, f"control: {one.name}", "") for one in story.control),
-        *(
-            (one.begin_s, f"{one.text}, {clock(one.end_s - one.begin_s)}", "")
-            for one in story.streams
-        ),
-        *((one.at_s, str(one), "") for one in story.commands),
-        *((one.begin_s, f"{one.name}: {one.text}", ' class="alarm"') for one in story.alarms),
-    ]
-    said.sort(key=lambda one: one[0])
-    for at, text, kind in said[:_MOST_ROWS]:
-        yield f"<tr{kind}><td>{clock(at)}</td><td>{escape(text)}</td></tr>"
+    said = sorted(happened(story), key=lambda one: one.at_s)
+    for one in said[:_MOST_ROWS]:
+        kind = ' class="alarm"' if one.kind == "alarm" else ""
+        yield f"<tr{kind}><td>{clock(one.at_s)}</td><td>{escape(one.text)}</td></tr>"
     if len(said) > _MOST_ROWS:
-        rest = f"and {len(said) - _MOST_ROWS} more: m100link log events"
+        rest = f"and {len(said) - _MOST_ROWS} more: m100link log report"
         yield f"<tr><td></td><td>{rest}</td></tr>"

@@ -66,8 +66,8 @@ class Sentence(NamedTuple):
     Attributes:
         at_s: When, s after the beginning of the log; less than 0 for what was before it.
         kind: Its subject: ``client``, ``lease``, ``control``, ``order``, ``setpoints``, ``plan``,
-            ``limits``, ``journal``, ``text``, ``flight``, ``switch``, ``motion``, ``alarm``,
-            ``sent`` or ``line``.
+            ``limits``, ``journal``, ``text``, ``flight``, ``obeyed``, ``switch``, ``motion``,
+            ``alarm``, ``sent`` or ``line``.
         who: The client or person that acted; empty where the log does not say it.
         text: The sentence.
         flown: Place, velocity, battery and GPS of that moment.
@@ -93,7 +93,7 @@ def report(
     first = next(flight.messages(), None)
     began_at = 0.0 if first is None else first.at
     notes = _NoteReader()
-    found = list(_happened(story))
+    found = list(happened(story))
     for message in flight.messages(EVENT):
         # Of another writer, or with a bit turned over: ours holds what is looked for.
         with suppress(ValueError, LookupError, TypeError, AttributeError):
@@ -109,11 +109,15 @@ def report(
     return sorted(telemetry.end(), key=_AT)
 
 
-def _happened(story: FlightSummary) -> Iterator[Sentence]:
+def happened(story: FlightSummary) -> Iterator[Sentence]:
+    """The sentences of a summary, in no order: those that need no notes."""
     for phase in story.phases:
         yield Sentence(phase.begin_s, "flight", "", f"The aircraft was in phase {phase.name}.")
+    for owner in story.control:
+        yield Sentence(owner.begin_s, "obeyed", "", f"The aircraft obeyed the {owner.name}.")
     for alarm in story.alarms:
-        lasted = f" for {alarm.end_s - alarm.begin_s:.1f} s" if alarm.end_s > alarm.begin_s else ""
+        seconds = alarm.end_s - alarm.begin_s
+        lasted = f" for {seconds:.1f} s" if seconds >= 0.1 else ""
         text = printable(f"Alarm {alarm.name}{lasted}: {alarm.text}.")
         yield Sentence(alarm.begin_s, "alarm", "", text)
     for command in story.commands:

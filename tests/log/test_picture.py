@@ -91,7 +91,7 @@ async def test_a_flight_is_a_page_with_its_track_and_what_happened(tmp_path: Pat
     story = read_story(read(tmp_path / "flight.mcap"))
     text = checked(story)
     assert len(text) < 200_000
-    for word in ("take-off", "start_task", "control: program", "Highest", "round trip"):
+    for word in ("take-off", "start_task", "obeyed the program", "Highest", "round trip"):
         assert word in text
     assert len(data_of(text)["track"]) == len(story.track.places())
 
@@ -245,19 +245,19 @@ def test_what_happened_stands_in_order_and_500_rows_are_the_most() -> None:
     story = marked()
     rows = re.findall(r"<tr([^>]*)><td>([^<]*)</td><td>([^<]*)</td></tr>", page(story))
     assert rows == [
-        ("", "0.0 s", "ground"),
-        ("", "0.0 s", "control: pilot"),
-        ("", "10.0 s", "flight"),
-        ("", "12.5 s", "arm on=True: DONE"),
-        (' class="alarm"', "15.0 s", "gps: GPS health 2"),
-        ("", "20.0 s", "control: program"),
-        ("", "25.0 s", "9 × move, 5.0 s"),
-        (' class="alarm"', "40.0 s", "link_old: late"),
+        ("", "0.0 s", "The aircraft was in phase ground."),
+        ("", "0.0 s", "The aircraft obeyed the pilot."),
+        ("", "10.0 s", "The aircraft was in phase flight."),
+        ("", "12.5 s", "Sent to the aircraft: arm on=True: DONE."),
+        (' class="alarm"', "15.0 s", "Alarm gps for 10.0 s: GPS health 2."),
+        ("", "20.0 s", "The aircraft obeyed the program."),
+        ("", "25.0 s", "Sent for 5.0 s: 9 × move."),
+        (' class="alarm"', "40.0 s", "Alarm link_old: late."),
     ]
     story.commands = [Moment(12.0, "arm", {}, None, None)] * 494
     many = re.findall(r"<td>([^<]*)</td></tr>", page(story))
-    assert (len(many), many[-1]) == (501, "and 1 more: m100link log events")
+    assert (len(many), many[-1]) == (501, "and 1 more: m100link log report")
     story.commands.pop()
-    assert "more: m100link log events" not in page(story)
+    assert "more: m100link log report" not in page(story)
     assert "2026-11-23" in page(story)
     assert "Nothing was recorded." in page(FlightSummary("empty.mcap"))
