@@ -174,7 +174,7 @@ async def test_a_refusal_has_its_reason_and_no_secret_is_noted(
     assert late["client"] == "first station"
     assert "Bob has control" in late["seen"]
     [asked] = those(notes, "order", order="take off", stage="asked")
-    assert asked["at"] <= late["at"]
+    assert notes.index(asked) < notes.index(late)
     assert [(a["why"], a["holder"]) for a in those(notes, "lease")][-3:] == [
         ("acquired", "Anna"), ("taken over", "Bob"), ("released", "")
     ]  # fmt: skip
@@ -284,6 +284,9 @@ async def test_the_log_of_a_new_connection_has_the_fence_in_force(folder: Path) 
         fence = [item(5003, 0.01, 0.01, param1=15.0)]
         found = await Exchange(user.rig.ground).upload(fence, MissionType.FENCE)
         assert found is MissionResult.ACCEPTED
+        for value in (3.0, 300.0):
+            user.rig.ground.send("PARAM_SET", target_system=1, target_component=1,
+                                 param_id="MPC_XY_CRUISE", param_value=value)  # fmt: skip
         await user.passes(1.0)
         user.aircraft.unplug()
         await user.passes(1.0)
@@ -291,5 +294,9 @@ async def test_the_log_of_a_new_connection_has_the_fence_in_force(folder: Path) 
         await user.passes(6.0)
     first, second, *_ = recorded(folder)
     said = "MAVLink 245 at 127.0.0.1:14540 uploaded a fence of 1 items: NAV_FENCE_CIRCLE_INCLUSION"
-    assert [one["text"] for one in those(first, "text") if said in one["text"]]
+    texts = [one["text"] for one in those(first, "text")]
+    assert [one for one in texts if said in one]
+    taken, refused = (one for one in texts if "MPC_XY_CRUISE = " in one)
+    assert taken == "MAVLink 245 at 127.0.0.1:14540: MPC_XY_CRUISE = 3: taken"
+    assert "MPC_XY_CRUISE = 300: refused: MPC_XY_CRUISE is " in refused
     assert [one["text"] for one in those(second, "text") if f"in force: {said}" in one["text"]]
