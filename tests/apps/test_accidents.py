@@ -202,7 +202,7 @@ class Killed(Staged):
     async def happen(self, front: Any, truth: Truth) -> None:
         truth.cause()
         await front.kill()
-        truth.holds("", "its front has gone")
+        truth.holds("", "ended: the lease has ended.\n.*its front has gone")
         truth.ended_by = "mavlink left: its connection ended"
         truth.lost_front = "mavlink"
 

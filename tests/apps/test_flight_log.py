@@ -155,6 +155,8 @@ async def test_a_refusal_has_its_reason_and_no_secret_is_noted(
     rig, one, two = stations
     lease = await one.acquire("Anna")
     await one.ask(orders.Obtain(), lease)
+    await one.ask(orders.Release(), lease)
+    await one.ask(orders.Obtain(), lease)
     with pytest.raises(M100Error, match="Anna has control"):
         await two.acquire("Bob")
     offer = await two.ask_take_over("Bob")
@@ -178,6 +180,8 @@ async def test_a_refusal_has_its_reason_and_no_secret_is_noted(
     assert [(a["why"], a["holder"]) for a in those(notes, "lease")][-3:] == [
         ("acquired", "Anna"), ("taken over", "Bob"), ("released", "")
     ]  # fmt: skip
+    ends = [one["why"] for one in those(notes, "control", before="held")]
+    assert ends == ["its client gives it back", "the lease has ended"]
     assert those(notes, "text", text="only for the log", client="second station")
     whole = json.dumps(notes)
     for secret in (lease.token, theirs.token, offer.token):

@@ -18,7 +18,7 @@ from m100link.apps.agent.background import TokenBucket, call_each, goes_on, igno
 from m100link.apps.agent.lease import Flown, Lease, LeaseChange, LeaseRefused, TakeOver
 from m100link.apps.agent.orders import Halt, PointGimbal, RenewLease, TurnGimbal
 from m100link.apps.agent.server.agent import Agent, Answer
-from m100link.apps.agent.server.authority import HoldingState
+from m100link.apps.agent.server.authority import HoldingInput, HoldingState
 from m100link.apps.agent.server.mission import push_of
 from m100link.apps.agent.transports import Channel
 from m100link.errors import AuthorityLost, GuardRefused, M100Error, NotObserved, UsageError
@@ -278,7 +278,11 @@ class AgentLog:
         ]
 
     def _control(self, before: HoldingState, after: HoldingState) -> None:
-        self.note("control", before=before, after=after, why=self._agent.holding.cause)
+        why: object = self._agent.holding.cause
+        if why is HoldingInput.LET_GO:
+            has_holder = self._agent.leases.holder(self._agent.now) is not None
+            why = "its client gives it back" if has_holder else "the lease has ended"
+        self.note("control", before=before, after=after, why=why)
 
     def _lease(self, why: LeaseChange, lease: Lease | None, flown: Flown) -> None:
         number, name = (lease.number, lease.name) if lease is not None else (0, "")
