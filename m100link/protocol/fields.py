@@ -15,7 +15,7 @@ from numbers import Integral, Real
 from struct import Struct, calcsize
 from typing import Any, ClassVar, NamedTuple, Self, TypeAlias
 
-from m100link.protocol.command import Command, Problem
+from m100link.protocol.command import Command, Problem, exactly
 from m100link.protocol.firmware import FirmwareProfile
 
 _INTEGERS = frozenset("bBhHiI")
@@ -363,9 +363,7 @@ class Laid(Record, Command):
     @classmethod
     def parse(cls, value: bytes, profile: FirmwareProfile) -> Self:
         """As many bytes as the layout has; values outside their range are kept as they came."""
-        if len(value) != cls.LAYOUT.size:
-            raise ValueError(f"{cls.NAME} takes {cls.LAYOUT.size} byte(s), there are {len(value)}")
-        return cls.from_wire(value)
+        return cls.from_wire(exactly(value, cls.LAYOUT.size, cls.NAME))
 
     def fields(self) -> dict[str, Any]:
         """In degrees, metres, seconds and words."""

@@ -208,9 +208,8 @@ class Activate(Request[ActivationCode], address=(0x00, 0x01), needs_activation=F
     @classmethod
     def parse(cls, value: bytes, profile: FirmwareProfile) -> Self:
         """Exactly 44 bytes (errata 19)."""
-        if len(value) != _ACTIVATE.size:
-            raise ValueError(f"activation takes {_ACTIVATE.size} bytes, there are {len(value)}")
-        app_id, level, version, bundle_id = _ACTIVATE.unpack(value)
+        fields = _ACTIVATE.unpack(exactly(value, _ACTIVATE.size, cls.NAME))
+        app_id, level, version, bundle_id = fields
         return cls(app_id, level, version, _text(bundle_id))
 
 
