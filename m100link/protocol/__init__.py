@@ -1,19 +1,7 @@
 """The meaning of the data bytes: command sets, setpoints, telemetry, firmware profiles."""
 
-from m100link.protocol import records
-from m100link.protocol.codes import (
-    AckCode,
-    ActivationCode,
-    ArmCode,
-    AuthorityCode,
-    MissionCode,
-    MobileDataCode,
-    RatesCode,
-    SystemCode,
-    TaskResultCode,
-    TaskStartCode,
-    VersionCode,
-)
+from m100link.protocol import codes, records
+from m100link.protocol.codes import *  # noqa: F403 (all of its __all__, nothing else)
 from m100link.protocol.command import (
     Address,
     Command,
@@ -45,7 +33,7 @@ from m100link.protocol.commands.monitor import AuthorityChanged, FromMobile, Pus
 from m100link.protocol.commands.registry import parse_command
 from m100link.protocol.firmware import PROFILES, FirmwareProfile, profile
 from m100link.protocol.packet import TelemetryPacket, encode_telemetry
-from m100link.protocol.records import *  # noqa: F403 (all of records.__all__, nothing else)
+from m100link.protocol.records import *  # noqa: F403
 from m100link.protocol.setpoint import (
     ControlMode,
     Horizontal,
@@ -57,14 +45,10 @@ from m100link.protocol.setpoint import (
 
 __all__ = [
     "PROFILES",
-    "AckCode",
     "Activate",
-    "ActivationCode",
     "Address",
     "Arm",
-    "ArmCode",
     "AuthorityChanged",
-    "AuthorityCode",
     "Command",
     "ControlMode",
     "Credentials",
@@ -72,8 +56,6 @@ __all__ = [
     "FromMobile",
     "GetVersion",
     "Horizontal",
-    "MissionCode",
-    "MobileDataCode",
     "Move",
     "Movement",
     "Notification",
@@ -81,7 +63,6 @@ __all__ = [
     "Push",
     "PushTelemetry",
     "QueryTask",
-    "RatesCode",
     "ReferenceFrame",
     "Request",
     "RequestAuthority",
@@ -89,14 +70,10 @@ __all__ = [
     "SetTelemetryRates",
     "Setpoint",
     "StartTask",
-    "SystemCode",
     "Task",
-    "TaskResultCode",
-    "TaskStartCode",
     "TelemetryPacket",
     "Unrecognised",
     "Version",
-    "VersionCode",
     "Vertical",
     "Yaw",
     "encode_code",
@@ -105,4 +82,5 @@ __all__ = [
     "profile",
 ]
 
+__all__ += codes.__all__
 __all__ += records.__all__

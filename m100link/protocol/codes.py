@@ -10,6 +10,20 @@ from __future__ import annotations
 from enum import IntEnum
 from typing import Self
 
+__all__ = [
+    "AckCode",
+    "ActivationCode",
+    "ArmCode",
+    "AuthorityCode",
+    "MissionCode",
+    "MobileDataCode",
+    "RatesCode",
+    "SystemCode",
+    "TaskResultCode",
+    "TaskStartCode",
+    "VersionCode",
+]
+
 
 class AckCode(IntEnum):
     """Base of the ack-code enums; an ``int`` with ``meaning``, ``cause`` and ``remedy``.
