@@ -259,8 +259,9 @@ class Bridge:
         self._share_out(now)
         audience = self.peers.audience(now)
         for craft in self._crafts:
-            for key in [key for key in craft.sequences if key[0] not in audience]:
-                del craft.sequences[key]
+            for key in [*craft.sequences]:
+                if key[0] not in audience:
+                    del craft.sequences[key]
             craft.vehicle.advance(now, audience, self.peers.is_lost)
             craft.executor.advance()
         self._flush(now)

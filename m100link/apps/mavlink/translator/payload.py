@@ -101,6 +101,9 @@ class Payload:
         self._answer, self._changed = answer, changed
         # The command of each order without an outcome: a copy of it is no other order.
         self._pending: set[object] = set()
+        self.is_at_work = (
+            False  # whether time matters to it: photos, an aim, or control of the gimbal
+        )
         self._interval: _Interval | None = None
         # The newest photo of each peer: its number, when it came, and its answer once there is one.
         self._photos: dict[Peer, tuple[float, float, MavResult | None]] = {}
@@ -154,6 +157,7 @@ class Payload:
             if self._photos.get(asked.peer, (math.nan,))[0] == number:
                 self._photos[asked.peer] = number, now, result
             if result is MavResult.ACCEPTED and not is_single:
+                self.is_at_work = True
                 self._interval = _Interval(int(count) - 1 if count else None)
                 self._state.interval_s = interval
                 self._changed()
@@ -235,6 +239,7 @@ class Payload:
         pairs = asked.parameters[:2], asked.parameters[2:]
         for present, wanted in zip((state.primary, state.secondary), pairs, strict=True):
             _controller(present, wanted, own)  # all of it or nothing
+        self.is_at_work = True
         state.primary = _controller(state.primary, pairs[0], own)
         state.secondary = _controller(state.secondary, pairs[1], own)
         return MavResult.ACCEPTED
@@ -327,7 +332,7 @@ class Payload:
             return None  # a copy of the command that waits
         self._drop_aim()
         at_first = self._at_first()
-        self._aim, self._aims_at = aim, now
+        self._aim, self._aims_at, self.is_at_work = aim, now, True
         self._asked = asked if at_first is None else None
         self._state.is_locked = not aim.follows
         return at_first
@@ -352,7 +357,10 @@ class Payload:
         if interval is not None and (interval.due_at is None or now >= interval.due_at):
             self._next_photo(interval, now)
         self._forget_gone(present)
-        aim = self._aim
+        aim, state = self._aim, self._state
+        self.is_at_work = bool(
+            aim or self._interval or {state.primary, state.secondary} - {_NOBODY}
+        )
         if aim is None or self._is_aiming or now < self._aims_at:
             return
         if aim.is_turn and (lost(aim.peer, now) or self._manager.other_operator(aim.peer)):
@@ -369,8 +377,6 @@ class Payload:
     def _forget_gone(self, present: Iterable[tuple[Peer, ...]]) -> None:
         """Control of the gimbal goes back when its holder has gone."""
         state = self._state
-        if state.primary == state.secondary == _NOBODY:
-            return
         there = {(peer.system, peer.component) for peers in present for peer in peers}
         state.primary = state.primary if state.primary in there else _NOBODY
         state.secondary = state.secondary if state.secondary in there else _NOBODY

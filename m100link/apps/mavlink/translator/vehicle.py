@@ -224,10 +224,8 @@ class MavlinkVehicle:
 
     def _log_again(self) -> None:
         """A new connection has a log of its own, which has to have what is in force, too."""
-        before, self._was_connected = self._was_connected, self.world.known.view.is_connected
-        if self._was_connected and not before:
-            for text in self._in_force.values():
-                self._note(f"in force: {text}")
+        for text in self._in_force.values() if self._was_connected else ():
+            self._note(f"in force: {text}")
 
     def _note(self, text: str) -> None:
         self.world.known.note(text, LOG_ONLY)
@@ -492,12 +490,12 @@ class MavlinkVehicle:
         ``now``: s. ``lost``: whether a peer is, at a time.
         """
         self.world.look()
-        self._log_again()
         operator = self.manager.operator
         if operator is not None and lost(operator, now):
             self.manager.operator_lost()
         self._watch_fence()
-        self._payload.advance(now, lost, audience.values())
+        if self._payload.is_at_work:
+            self._payload.advance(now, lost, audience.values())
         self.manager.advance(now)
         for peer, told_at in self._arming.items():
             if now - told_at >= _PROGRESS_S:
@@ -507,7 +505,11 @@ class MavlinkVehicle:
             for text in self._texts.due(now):
                 self._send(text)
         # A vehicle that nobody hears is silent: a ground station has to see that it is lost.
-        if self.world.known.view.is_heard:
+        view = self.world.known.view
+        if view.is_connected is not self._was_connected:
+            self._was_connected = view.is_connected
+            self._log_again()
+        if view.is_heard:
             self._tell_state(now, audience)
 
     def _camera_changed(self) -> None:
@@ -521,9 +523,10 @@ class MavlinkVehicle:
     def _tell_state(self, now: float, audience: telemetry.Audience) -> None:
         beat = self._heartbeat()
         fields = tuple(beat.fields.values())
-        if self.world.has_payload and now - self._camera_beaten_at >= _HEARTBEAT_S:
+        if now - self._camera_beaten_at >= _HEARTBEAT_S:
             self._camera_beaten_at = now
-            self._send(_CAMERA_BEAT)
+            if self.world.has_payload:
+                self._send(_CAMERA_BEAT)
         if fields != self._beaten or now - self._beaten_at >= _HEARTBEAT_S:
             if fields[:1] != self._beaten[:1]:
                 self._send(current(self.manager.mode))
