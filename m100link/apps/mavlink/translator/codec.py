@@ -135,7 +135,7 @@ DEFINITIONS = """
 283 GIMBAL_DEVICE_INFORMATION: u64 uid, u32 time_boot_ms, u32 firmware_version, u32
     hardware_version, f32 roll_min, f32 roll_max, f32 pitch_min, f32 pitch_max, f32 yaw_min, f32
     yaw_max, u16 cap_flags, u16 custom_cap_flags, char[32] vendor_name, char[32] model_name,
-    char[32] custom_name | u8 gimbal_device_id
+    char[32] custom_name | u8 gimbal_device_id, u32 cap_flags2
 285 GIMBAL_DEVICE_ATTITUDE_STATUS: u32 time_boot_ms, f32[4] q, f32 angular_velocity_x, f32
     angular_velocity_y, f32 angular_velocity_z, u32 failure_flags, u16 flags, u8 target_system,
     u8 target_component | f32 delta_yaw, f32 delta_yaw_velocity, u8 gimbal_device_id

@@ -30,7 +30,7 @@ from tests.known import Known
 KEY = bytes(range(32))
 
 
-def frame(name: str = "PING", *, sequence: int = 0, **fields: Any) -> bytes:
+def frame(name: str = "PING", /, *, sequence: int = 0, **fields: Any) -> bytes:
     return write_frame(MavlinkMessage(name, fields), system=7, sequence=sequence)
 
 
