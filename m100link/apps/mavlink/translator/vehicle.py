@@ -91,8 +91,7 @@ class MavlinkVehicle:
         autopilot: int,
         logs: Path | None = None,  # the folder of its flight logs; None where nothing is recorded
     ) -> None:
-        self.system = system
-        self._autopilot = autopilot
+        self.system, self._autopilot = system, autopilot
         # Messages to send: to which peer, to which addresses, or None for everybody.
         self.outbox: list[tuple[MavlinkMessage, Peer | tuple[Address, ...] | None]] = []
         self.world = VehicleState(known, session)  # what is known of the aircraft
@@ -137,8 +136,7 @@ class MavlinkVehicle:
         # Peers that wait for the answer to arming, and when each last heard that it takes time.
         self._arming: dict[Peer, float] = {}
         self._in_force: dict[int, str] = {}  # uploads, for the flight log
-        self._was_connected = True
-        self._beaten_at = self._camera_beaten_at = -math.inf
+        self._was_connected, self._beaten_at, self._camera_beaten_at = True, -math.inf, -math.inf
         self._beaten: tuple[object, ...] = ()
         self._handlers = self._by_name()
 
