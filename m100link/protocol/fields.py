@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from functools import cache
 from numbers import Integral, Real
 from struct import Struct, calcsize
@@ -368,6 +369,15 @@ class Laid(Record, Command):
     def fields(self) -> dict[str, Any]:
         """In degrees, metres, seconds and words."""
         return self.shown()
+
+
+@dataclass(frozen=True, slots=True)
+class AnyByte(Laid):
+    """A command whose one byte may be anything."""
+
+    LAYOUT: ClassVar[Layout] = Layout(Number("any"))
+
+    any: int = 0
 
 
 def latitude(name: str = "latitude") -> Number:

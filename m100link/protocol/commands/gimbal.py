@@ -9,10 +9,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntFlag
 from struct import Struct
-from typing import Any, ClassVar, Self
+from typing import Any, Self
 
 from m100link.protocol.command import Problem, Push, exactly, in_range
-from m100link.protocol.fields import Laid, Layout, Number
+from m100link.protocol.fields import AnyByte
 from m100link.protocol.firmware import FirmwareProfile, Generation
 
 GIMBAL_LIMITS_DEG = {"yaw": (-320.0, 320.0), "roll": (-35.0, 35.0), "pitch": (-90.0, 30.0)}
@@ -185,12 +185,8 @@ class GimbalAngle(Push, address=(0x01, 0x1B), level=1, encrypted=True, since=Gen
 
 
 @dataclass(frozen=True, slots=True)
-class _CameraCommand(Laid, Push, level=1, encrypted=True, since=Generation.V2_3):
+class _CameraCommand(AnyByte, Push, level=1, encrypted=True, since=Generation.V2_3):
     """One byte that may be anything, as in the version query."""
-
-    LAYOUT: ClassVar[Layout] = Layout(Number("any"))
-
-    any: int = 0
 
     @classmethod
     def parse(cls, value: bytes, profile: FirmwareProfile) -> Self:

@@ -11,13 +11,12 @@ from typing import Any, ClassVar
 from m100link.protocol.codes import MissionCode
 from m100link.protocol.commands.missions import (
     Answer,
-    AnyByte,
     DownloadAnswer,
     MissionRequest,
     PauseResume,
     Unconfirmed,
 )
-from m100link.protocol.fields import Laid, Layout, Number, Reserved, latitude, longitude
+from m100link.protocol.fields import AnyByte, Laid, Layout, Number, Reserved, latitude, longitude
 
 _RADIUS = 5.0, 500.0
 _RATE = Number("angular_rate", "f", 0.0, 30.0, "°/s")

@@ -533,15 +533,6 @@ class Unconfirmed(_MissionCommand, _MissionAck[MissionCode], Movement):
 
 
 @dataclass(frozen=True, slots=True)
-class AnyByte(Laid):
-    """A command whose one byte may be anything."""
-
-    LAYOUT: ClassVar[Layout] = Layout(Number("any"))
-
-    any: int = 0
-
-
-@dataclass(frozen=True, slots=True)
 class PauseResume(Laid, MissionRequest[MissionCode]):
     """Pause (0) or resume (1) a mission."""
 

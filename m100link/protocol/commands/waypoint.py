@@ -14,12 +14,12 @@ from m100link.protocol.codes import MissionCode
 from m100link.protocol.command import Problem
 from m100link.protocol.commands.missions import (
     Answer,
-    AnyByte,
     DownloadAnswer,
     MissionRequest,
     PauseResume,
 )
 from m100link.protocol.fields import (
+    AnyByte,
     Laid,
     Layout,
     Nibbles,
