@@ -356,7 +356,7 @@ class CommandProtocol:
         """Why the envelope refuses a mission, with the item; empty if it does not."""
         known = self._world.known.view
         legs: list[tuple[str, GuidedOrder]] = [
-            (f"item {leg.item}", leg.order) for leg in route.legs
+            (route.labels[leg.item], leg.order) for leg in route.legs
         ]
         if route.height is not None:
             legs.insert(0, ("take-off", orders.ChangeHeight(route.height)))

@@ -71,11 +71,13 @@ class Route:
         self.height: float | None = None
         self.then = Mode.HOLD  # how it ends: RTL, LAND, or hovering
         self.left_out: list[int] = []  # commands of items that are not carried out
+        self.labels: dict[int, str] = {}  # of the items, for people
         self._speed = speed  # of the legs that follow, m/s
 
     def read(self, number: int, item: MavlinkMessage) -> None:
         command = item["command"]
         row = ITEMS.get(command)
+        self.labels[number] = f"item {number}, {command_name(command)}"
         if row is None and command in WITHOUT_EFFECT:
             self.left_out.append(command)
             return
@@ -89,8 +91,7 @@ class Route:
                 raise Refused("a parameter is infinite")
             row.reader(self, number, item)
         except Refused as refused:
-            where = f"item {number}, {command_name(command)}"
-            raise Refused(f"{where}: {refused.why}", refused.result) from None
+            raise Refused(f"{self.labels[number]}: {refused.why}", refused.result) from None
 
     def _height(self, item: MavlinkMessage) -> float:
         frame, height = item["frame"], float(item["z"])

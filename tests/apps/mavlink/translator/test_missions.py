@@ -317,8 +317,14 @@ TAKE_OFF = item(MavCommand.NAV_TAKEOFF, z=60.0)
 @pytest.mark.parametrize(
     ("items", "why"),
     [
-        ([waypoint(15.0, 0.1), waypoint(600.0, 0.1)], "item 1: 600 m .* 150 m; --max-r"),
-        ([waypoint(15.0, 0.1), waypoint(15.0, 9.0, z=51.0)], "item 1: a height of 51.0 m .* 50 m"),
+        (
+            [waypoint(15.0, 0.1), waypoint(600.0, 0.1)],
+            r"item 1, NAV_WAYPOINT \(16\): 600 m .* 150 m; --max-r",
+        ),
+        (
+            [waypoint(15.0, 0.1), waypoint(15.0, 9.0, z=51.0)],
+            r"item 1, NAV_W.*: a height of 51.0 m .* 50 m",
+        ),
         ([TAKE_OFF, waypoint(15.0, 0.1)], "take-off: .* 50 m"),
     ],
 )
