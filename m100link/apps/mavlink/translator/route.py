@@ -122,23 +122,28 @@ class Route:
         self._is_over = True
 
     def circle(self, number: int, item: MavlinkMessage) -> None:
-        """NAV_LOITER_TURNS: around the place before where it names none."""
+        """NAV_LOITER_TURNS."""
         turns, radius = float(item["param1"]), float(item["param3"])
         if not (0.0 < turns <= _MOST_TURNS and 1.0 <= abs(radius) < math.inf):
             raise Refused(f"{turns:g} turns of {abs(radius):g} m: up to {_MOST_TURNS:g}, from 1 m")
-        if self.legs and not (item["x"] or item["y"]):
-            before = self.legs[-1].order
-            place, height = (before.latitude_deg, before.longitude_deg), before.height
-        else:
-            place, height = _place(item), self._height(item)
         speed = min(self._speed, math.sqrt(abs(radius)), abs(radius) / 2.0)
-        order = FlyAround(*place, height, abs(radius), speed, turns, clockwise=radius > 0.0)
+        where = self._where(item)
+        order = FlyAround(*where, abs(radius), speed, turns, clockwise=radius > 0.0)
         self.legs.append(RoutePoint(number, order))
+
+    def _where(self, item: MavlinkMessage) -> tuple[float, float, float]:
+        """Latitude, longitude, height; a loiter without a place stays where the leg before ends."""
+        before = self.legs[-1].order if self.legs else None
+        is_here = not (item["x"] or item["y"] or item["command"] == MavCommand.NAV_WAYPOINT)
+        if not (is_here and isinstance(before, FlyTo)):
+            return (*_place(item), self._height(item))
+        height = self._height(item) if item["z"] else before.height
+        return before.latitude_deg, before.longitude_deg, height
 
     def _fly(self, number: int, item: MavlinkMessage, wait: float) -> None:
         yaw = item["param4"]
         heading = math.remainder(yaw, 360.0) if math.isfinite(yaw) else None
-        order = FlyTo(*_place(item), self._height(item), self._speed, heading)
+        order = FlyTo(*self._where(item), self._speed, heading)
         self.legs.append(RoutePoint(number, order, wait))
 
     def turn(self, number: int, item: MavlinkMessage) -> None:
@@ -223,8 +228,8 @@ ITEMS: Mapping[int, ItemRow] = {
     MavCommand.NAV_LOITER_UNLIM: ItemRow(Route.loiter, "straight there, and the end"),
     MavCommand.NAV_LOITER_TURNS: ItemRow(
         Route.circle,
-        "up to 100 turns around the place or the one before, from 1 m of radius, looking at it, "
-        "at most at √(radius in m) m/s",
+        "up to 100 turns around the place, from 1 m of radius, looking at it, at most at "
+        "√(radius in m) m/s",
     ),
     MavCommand.NAV_DELAY: ItemRow(Route.delay, "seconds, at the waypoint before"),
     MavCommand.CONDITION_YAW: ItemRow(Route.turn, "absolute: turns there, at the waypoint before"),

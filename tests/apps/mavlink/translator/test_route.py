@@ -151,6 +151,19 @@ def test_turns_around_a_place_are_a_circle_at_a_speed_that_is_gentle() -> None:
     assert read(item(16), here).legs == [leg(), RoutePoint(1, around)]
 
 
+@pytest.mark.parametrize("command", [17, 18, 19])
+def test_a_loiter_without_a_place_stays_where_the_leg_before_ends(command: int) -> None:
+    """MAVLink: 0, 0 is the present place; a waypoint has to name one."""
+    there = {"x": 0, "y": 0, "param1": 2.0, "param3": 4.0}
+    for z, height in ((0.0, 21.5), (30.0, 30.0)):
+        found = read(item(16), item(command, z=z, **there)).legs[1].order
+        place = (found.latitude_deg, found.longitude_deg, found.height)
+        assert place == (-33.1234567, 151.2345678, height)
+    for before in ([], [item(18, param1=1.0, param3=4.0)]):
+        with pytest.raises(Refused, match="there is no place"):
+            read(*before, item(command, **there))
+
+
 def test_a_heading_of_its_own_is_a_turn_at_the_waypoint_before() -> None:
     turn = item(115, param1=270.0, param4=0.0)
     assert read(item(16), turn, item(16)).legs == [
