@@ -8,7 +8,7 @@ sender an answer and nobody else anything.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Iterable
 from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
@@ -182,6 +182,13 @@ class FileService:
 
     def _end(self, peer: Peer) -> None:
         self._transfers.pop(peer, None)
+
+    def forget_gone(self, present: Iterable[tuple[Peer, ...]]) -> None:
+        """Send no more of a log to a peer that has gone; ``present``: the others, by address."""
+        if self._transfers:
+            there = {peer for peers in present for peer in peers}
+            for peer in self._transfers.keys() - there:
+                self._end(peer)
 
     async def _transfer(self, peer: Peer) -> None:
         """Send the part that the peer wants, until it wants no more."""

@@ -146,6 +146,19 @@ async def test_a_log_takes_no_more_of_the_network_than_its_pace(rig: Rig, ground
     assert ground.last("PING")["seq"] == 7
 
 
+async def test_a_log_is_sent_no_further_to_a_peer_that_has_gone(folder: Path) -> None:
+    (folder / NEW).write_bytes(bytes(4_000_000))
+    async with Rig(logs=folder).running() as rig:
+        ground = rig.ground
+        ground.send("LOG_REQUEST_DATA", target_system=1, target_component=1, id=1, count=4_000_000)
+        ground.is_silent = True
+        await anyio.sleep(11.0)
+        count = len(ground.all("LOG_DATA"))
+        assert count < 11 * 2500
+        await anyio.sleep(5.0)
+        assert len(ground.all("LOG_DATA")) == count
+
+
 async def test_logs_are_not_erased(rig: Rig, ground: Ground, folder: Path) -> None:
     ground.send("LOG_ERASE", target_system=1, target_component=1)
     await rig.until(lambda: "logs are not erased" in ground.texts)
