@@ -188,7 +188,7 @@ class Payload:
     def record(self, asked: Asked, now: float) -> MavResult | None:
         """VIDEO_START_CAPTURE, VIDEO_STOP_CAPTURE."""
         is_on = asked.command == MavCommand.VIDEO_START_CAPTURE
-        if asked.parameters[0] not in (0.0, 1.0):
+        if asked.parameters[0] > 1.0:  # NaN says nothing
             raise UsageError(f"camera: there is no video stream {asked.parameters[0]:g}")
         _require_camera(asked.parameters[2 if is_on else 1])
         if self._manager.is_others(asked.peer, "camera"):
@@ -212,6 +212,8 @@ class Payload:
             return self._at_first()
         if len(self._pending) >= _MOST_WAITING:
             return self._reject("camera: too many orders at once")
+        if not self._world.known.view.is_heard:
+            return self._reject("camera: the aircraft is not heard")
         self._pending.add(key)
 
         def over(error: M100Error | None) -> None:
@@ -328,6 +330,8 @@ class Payload:
     def _aim_at(self, aim: Aim, asked: Asked | None, now: float) -> MavResult | None:
         if not self._may_aim(aim.peer):
             return MavResult.TEMPORARILY_REJECTED
+        if not self._world.known.view.is_heard:
+            return self._reject("gimbal: the aircraft is not heard")
         if asked is not None and self._asked is not None and asked.key == self._asked.key:
             return None  # a copy of the command that waits
         self._drop_aim()
@@ -395,8 +399,8 @@ class Payload:
                 self._tell(Severity.WARNING, "camera: no more photos at an interval")
                 self._end_interval()
 
-        result = self._use(CameraUse.PHOTO, id(interval), taken)
-        if result is MavResult.TEMPORARILY_REJECTED or interval.left == 0:
+        taken(self._use(CameraUse.PHOTO, id(interval), taken) or MavResult.ACCEPTED)
+        if interval.left == 0:
             self._end_interval()
 
     def _aimed(self, aim: Aim, error: M100Error | None) -> None:

@@ -16,6 +16,7 @@ from m100link.apps.mavlink.translator.codec import LAYOUTS
 from m100link.apps.mavlink.translator.numbers import MavCommand, MavResult
 from m100link.apps.mavlink.translator.telemetry import STREAMS
 from m100link.geodesy import normalize_degrees
+from m100link.sim.line import LineFaults
 from m100link.sim.vehicle.gimbal import GimbalMount
 from tests.apps.mavlink.conftest import Ground, Rig
 
@@ -71,7 +72,19 @@ async def test_a_first_order_that_comes_to_nothing_says_why() -> None:
         rig.ground.command(PHOTO, 0, 0, 1, 1, component=CAMERA)
         await anyio.sleep(20.0)
         assert "camera: " in rig.ground.texts
+        # Without an aircraft there is no component of that number, and no gimbal.
+        rig.ground.command(PHOTO, 0, 0, 1, 2, component=CAMERA)
+        assert await rig.ground.ask(POINT, -30, 0, NAN, NAN, LOCK, NAN, 1) is UNSUPPORTED
         assert photos(rig) == 0
+
+
+async def test_an_aircraft_that_falls_silent_takes_no_orders(rig: Rig, ground: Ground) -> None:
+    rig.aircraft.set_faults(LineFaults(loss=1.0))
+    await rig.until(lambda: not rig.client.view.is_heard)
+    assert await ground.ask(PHOTO, 0, 0, 1, 2, component=CAMERA) is REJECTED
+    assert await ground.ask(POINT, -30, 0, NAN, NAN, LOCK, NAN, 1) is REJECTED
+    await rig.until(lambda: "gimbal: the aircraft is not heard" in ground.texts)
+    assert "camera: the aircraft is not heard" in ground.texts
 
 
 def number(name: str) -> int:
