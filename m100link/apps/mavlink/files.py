@@ -101,7 +101,7 @@ class FileService:
         self.made: dict[str, bytes] = {}
         # The newest list of each peer: numbers of logs are places in it.
         self._lists: dict[Peer, list[LogEntry]] = {}
-        self._transfers: dict[Peer, _Transfer] = {}
+        self.transfers: dict[Peer, _Transfer] = {}  # parts of logs that are on their way
         self._asking: set[tuple[Peer, str]] = set()  # whose question of which kind is under way
         self._sessions: dict[int, _Session] = {}
         # When each peer asked last, its question and the answers: one that was lost is sent again.
@@ -177,23 +177,22 @@ class FileService:
     def _data_wanted(self, message: MavlinkMessage, peer: Peer, now: float) -> None:
         begin, number = message["ofs"], message["id"]
         # The newest request replaces the one before it.
-        self._transfers[peer] = _Transfer(number, begin, min(_U32, begin + message["count"]))
+        self.transfers[peer] = _Transfer(number, begin, min(_U32, begin + message["count"]))
         self._ask(peer, "log", lambda: self._transfer(peer))
 
     def _end(self, peer: Peer) -> None:
-        self._transfers.pop(peer, None)
+        self.transfers.pop(peer, None)
 
     def forget_gone(self, present: Iterable[tuple[Peer, ...]]) -> None:
         """Send no more of a log to a peer that has gone; ``present``: the others, by address."""
-        if self._transfers:
-            there = {peer for peers in present for peer in peers}
-            for peer in self._transfers.keys() - there:
-                self._end(peer)
+        there = {peer for peers in present for peer in peers}
+        for peer in self.transfers.keys() - there:
+            self._end(peer)
 
     async def _transfer(self, peer: Peer) -> None:
         """Send the part that the peer wants, until it wants no more."""
         entries = await self._listed(peer, anew=False)
-        while (wanted := self._transfers.get(peer)) is not None:
+        while (wanted := self.transfers.get(peer)) is not None:
             data = b""
             if wanted.number < len(entries):
                 try:
@@ -201,7 +200,7 @@ class FileService:
                     data, _ = await self._piece(entries[wanted.number].log, wanted.at, size)
                 except UsageError:
                     pass  # it made room for a newer one: that is its end
-            if await self._sent(data, wanted, peer) and self._transfers.get(peer) is wanted:
+            if await self._sent(data, wanted, peer) and self.transfers.get(peer) is wanted:
                 self._end(peer)
 
     async def _sent(self, data: bytes, wanted: _Transfer, peer: Peer) -> bool:
@@ -210,7 +209,7 @@ class FileService:
             self._stream("LOG_DATA", {"id": wanted.number, "ofs": wanted.at}, peer)
             return True
         for count, begin in enumerate(range(0, len(data), _LOG_DATA), 1):
-            if self._transfers.get(peer) is not wanted:
+            if self.transfers.get(peer) is not wanted:
                 return False
             part = data[begin : begin + _LOG_DATA]
             fields = {"id": wanted.number, "ofs": wanted.at + begin, "count": len(part)}

@@ -101,9 +101,8 @@ class Payload:
         self._answer, self._changed = answer, changed
         # The command of each order without an outcome: a copy of it is no other order.
         self._pending: set[object] = set()
-        self.is_at_work = (
-            False  # whether time matters to it: photos, an aim, or control of the gimbal
-        )
+        # Whether time matters to it: photos, an aim, or control of the gimbal.
+        self.is_at_work = False
         self._interval: _Interval | None = None
         # The newest photo of each peer: its number, when it came, and its answer once there is one.
         self._photos: dict[Peer, tuple[float, float, MavResult | None]] = {}

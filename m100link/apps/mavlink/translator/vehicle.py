@@ -494,7 +494,8 @@ class MavlinkVehicle:
         self._watch_fence()
         if self._payload.is_at_work:
             self._payload.advance(now, lost, audience.values())
-        self.files.forget_gone(audience.values())
+        if self.files.transfers:
+            self.files.forget_gone(audience.values())
         self.manager.advance(now)
         for peer, told_at in self._arming.items():
             if now - told_at >= _PROGRESS_S:
