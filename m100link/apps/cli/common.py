@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 from rich.console import Console
+from rich.text import Text
 
 from m100link.apps.cli.configuration import read_configuration
 from m100link.apps.cli.options import Above0, offered, options_of
@@ -32,10 +33,9 @@ if TYPE_CHECKING:
 class TextConsole(Console):
     """A console that shows what it is given: no text of a file or a stranger steers a terminal."""
 
-    def print(self, *objects: Any, **options: Any) -> None:
+    def render_str(self, text: str, **options: Any) -> Text:
         """As rich does, with other characters in place of those that a terminal obeys."""
-        shown = (printable(one, keeps="\n\t") if isinstance(one, str) else one for one in objects)
-        super().print(*shown, **options)
+        return super().render_str(printable(text, keeps="\n\t"), **options)
 
 
 out = TextConsole(highlight=False)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import os
 import socket
 import threading
@@ -12,7 +13,9 @@ from pathlib import Path
 
 import pytest
 import serial
+from rich.table import Table
 
+from m100link.apps.cli.common import TextConsole
 from m100link.apps.cli.terminal import ExitCode
 from m100link.testing import VirtualPort
 from m100link.wire import encode_frame
@@ -283,3 +286,14 @@ def test_an_app_that_the_server_does_not_know(cli: CommandLine, key_file: Path) 
     assert "the server refused (code 6, attempt 2)" in outcome.err
     assert "check app id and key" in outcome.err
     assert key_file.read_text().strip() not in outcome.err
+
+
+def test_no_text_steers_a_terminal_alone_or_in_a_table() -> None:
+    console = TextConsole(file=io.StringIO(), width=60, force_terminal=False)
+    table = Table("a\x1b[2J")
+    table.add_row("b\x07\x9b")
+    for shown in (table, "c\x1b]0;x\x07 \u202e", "two\nlines\tand a tab"):
+        console.print(shown, markup=False)
+    said = console.file.getvalue()  # type: ignore[attr-defined]
+    assert not [one for one in said if not one.isprintable() and one != "\n"]
+    assert "c\ufffd]0;x\ufffd \ufffd\ntwo\nlines" in said
