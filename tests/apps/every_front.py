@@ -494,6 +494,7 @@ class Rosbridge(Station):
     """A program with roslib."""
 
     name = "rosbridge"
+    axes: tuple[float, ...] = (0.0, SPEED_M_S, 0.0, 0.0)  # east, north, up, m/s; yaw rate
 
     async def come(self) -> None:
         self.client = self.rig.client("program")
@@ -513,8 +514,7 @@ class Rosbridge(Station):
     def _joy(self, age: float = 0.0) -> None:
         secs, part = divmod(1e6 + self.now() - age, 1.0)
         header = {"stamp": {"secs": int(secs), "nsecs": int(part * 1e9)}}
-        message = {"header": header, "axes": [0.0, SPEED_M_S, 0.0, 0.0]}
-        self.client.send("publish", topic=_JOY, msg=message)
+        self.client.send("publish", topic=_JOY, msg={"header": header, "axes": self.axes})
 
     def send(self) -> None:
         self._joy()

@@ -207,10 +207,14 @@ class Killed(Staged):
         truth.lost_front = "mavlink"
 
 
-class TakenOver(Staged):
-    """A second station takes control over, on a line that damages frames."""
+class Climbing(Rosbridge):
+    axes = (-1.0, 2.0, 0.5, 0.0)
 
-    front, name, faults = Rosbridge, "program", LineFaults(damage=0.05)
+
+class TakenOver(Staged):
+    """A second station takes control over in a climb, on a line that damages frames."""
+
+    front, name, faults = Climbing, "program", LineFaults(damage=0.05)
 
     async def happen(self, front: Any, truth: Truth) -> None:
         truth.refused.append(("another station", "program has control"))
