@@ -15,8 +15,9 @@ from m100link.errors import UsageError
 from m100link.log import read
 from m100link.log.picture import line_quality, page
 from m100link.log.reading import FrameLoss
-from m100link.log.report import Sentence, report
+from m100link.log.report import Sentence, _TelemetryReader, report
 from m100link.log.story import FlightSummary, read_story
+from m100link.protocol import encode_telemetry, profile
 from tests.log.flight import URL
 from tests.log.test_share import written
 
@@ -218,3 +219,53 @@ def test_no_content_of_a_log_raises_or_reaches_a_terminal(tmp_path: Path, seed: 
     assert all(one.text.isprintable() and one.who.isprintable() for one in said)
     assert line_quality(story)
     assert page(story)
+
+
+# -- motion, by telemetry made by hand: velocity at 10 Hz, m/s to the north and up -----------------
+
+
+def moved(*spans: tuple[float, float, float]) -> list[tuple[float, str]]:
+    """The sentences of motion: spans are seconds, and speeds; NaN for no telemetry."""
+    known, values, at = profile("1.0"), [], 0.0
+    for seconds, north, up in spans:
+        for _ in range(round(10 * seconds)):
+            if not math.isnan(north):
+                items = {"velocity": (north, 0.0, up), "rc": (0, 0, 0, 0, 8000, -4545)}
+                values.append((encode_telemetry(items, known), 100.0 + at))
+            at += 0.1
+    reader = _TelemetryReader(FlightSummary("made"), known, [])
+    reader.hear(values, 100.0)
+    return [(round(one.at_s, 1), one.text) for one in reader.end() if one.kind == "motion"]
+
+
+BEGAN, SILENT = "The aircraft began to move.", "It was moving when telemetry fell silent."
+
+
+@pytest.mark.parametrize(
+    ("spans", "said"),
+    [
+        ([(2, 0.2, 0.0)], []),
+        (
+            [(1, 0.0, 0.0), (2, 2.0, 0.0), (1, 0.0, 0.0)],
+            [(1.0, BEGAN), (2.9, "The aircraft stood still; it had moved 3.8 m in 1.9 s.")],
+        ),
+        (  # slower than that for less than half a second
+            [(1, 1.0, 0.0), (0.4, 0.1, 0.0), (1, 1.0, 0.0), (1, 0.0, 0.0)],
+            [(0.0, BEGAN), (2.3, "The aircraft stood still; it had moved 2.3 m in 2.3 s.")],
+        ),
+        (  # down
+            [(1, 0.0, -0.5), (1, 0.0, 0.0)],
+            [(0.0, BEGAN), (0.9, "The aircraft stood still; it had moved 0.5 m in 0.9 s.")],
+        ),
+        (  # what it did meanwhile nobody knows
+            [(1, 2.0, 0.0), (3, math.nan, 0.0), (1, 2.0, 0.0), (1, 0.0, 0.0)],
+            [(0.0, BEGAN), (0.9, SILENT), (4.0, BEGAN),
+             (4.9, "The aircraft stood still; it had moved 1.8 m in 0.9 s.")],
+        ),
+        ([(1, 2.0, 0.0)], [(0.0, BEGAN), (0.9, "It was moving when telemetry ended.")]),
+    ],
+)  # fmt: skip
+def test_motion_begins_and_ends(
+    spans: list[tuple[float, float, float]], said: list[tuple[float, str]]
+) -> None:
+    assert moved(*spans) == said
