@@ -245,6 +245,11 @@ def share(flight: FlightLog, stream: IO[bytes], *, firmware: str | None = None) 
     cleaner, log = _Cleaner(), LogWriter(stream, 10.0)
     first = next(flight.messages(), None)
     log.utc_offset_s = 0.0 if first is None else first.utc - first.at
+    # The flight's own first place, for a plan that is noted before may be of another site.
+    positions = (one.get(Position) for one in flight.samples(firmware=known))
+    place = next((one for one in positions if one is not None and has_fix(one)), None)
+    if place is not None:
+        cleaner.moved.place(place.latitude_deg, place.longitude_deg)
     for one in flight.heard(COMMAND, EVENT, LINK, firmware=known):
         batch = Batch(profile=known, acceleration=AccelerationMode.FUSED)
         if isinstance(one, Message):

@@ -33,6 +33,8 @@ from m100link.log.story import read_story
 from m100link.protocol.firmware import profile
 from m100link.protocol.packet import field_span, telemetry_size
 from m100link.protocol.setpoint import Horizontal, ReferenceFrame, Vertical, Yaw
+from m100link.sim.ports import driver
+from m100link.sim.virtual import VirtualAircraft
 from tests.log.flight import APP_ID, KEY, URL
 
 pytestmark = pytest.mark.anyio
@@ -146,6 +148,28 @@ def assert_same_shape(flight: FlightLog, shared: FlightLog, firmware: str) -> No
     one, other = before.track.places(), after.track.places()
     assert math.dist(one[-1][1:3], (6.0, -4.0)) < 1.5
     assert math.dist(one[-1][1:3], other[-1][1:3]) < 0.2
+
+
+async def test_a_plan_of_another_site_does_not_cost_the_shape(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It was uploaded before the flight began, and stands before the first position."""
+    path, copy = tmp_path / "a.mcap", tmp_path / "b.mcap"
+    virtual = VirtualAircraft(seed=7)
+    virtual.gps_health = 0
+    monkeypatch.setattr(driver, "aircraft_of", lambda _: virtual)
+    async with connect("sim://", record=path, acceleration="fused") as aircraft:
+        aircraft.note("plan", name="x", waypoints=[[10.0, 10.0, 5.0]])
+        await aircraft.activate(virtual.credentials)
+        await asyncio.sleep(2.0)
+        virtual.gps_health = 5
+        await asyncio.sleep(2.0)
+        async with aircraft.control() as control:
+            await control.take_off()
+            await control.fly_to(north=6.0, east=-4.0, up=1.0)
+    with copy.open("xb") as stream:
+        share(read(path), stream)
+    assert_same_shape(read(path), read(copy), "1.0")
 
 
 async def test_a_place_far_from_the_first_does_not_show_how_far_it_was_moved(

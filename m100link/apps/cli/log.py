@@ -474,7 +474,7 @@ def share_file(file: Log, /, *, output: Output = None, firmware: AsFlown = None)
     heights and its times stay, and the magnetic field as it was measured.
     """
     target = output or file.with_stem(f"{file.stem}-shared")
-    with reading(file, passes=3) as flight, new_file(target) as stream:
+    with reading(file, passes=4) as flight, new_file(target) as stream:
         removed = share(flight, stream, firmware=firmware)
     for what, count in sorted(removed.items()):
         out.print(f"  {count:>8}  {what}", markup=False)
