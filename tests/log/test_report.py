@@ -12,12 +12,16 @@ import pytest
 
 from m100link import connect
 from m100link.errors import UsageError
+from m100link.link import Direction
 from m100link.log import read
 from m100link.log.picture import line_quality, page
 from m100link.log.reading import FrameLoss
+from m100link.log.recorder import Batch, LogWriter
 from m100link.log.report import Sentence, _TelemetryReader, report
 from m100link.log.story import FlightSummary, read_story
 from m100link.protocol import encode_telemetry, profile
+from m100link.protocol.commands.monitor import PushTelemetry
+from m100link.wire import encode_frame
 from tests.log.flight import URL
 from tests.log.test_share import written
 
@@ -152,6 +156,20 @@ def test_lost_frames_by_their_numbers(numbers: list[int], share: float | None) -
     for number in numbers:
         loss.hear(number)
     assert loss.share == (None if share is None else pytest.approx(share))
+
+
+def test_acks_have_the_numbers_of_their_commands_and_tell_of_no_loss(tmp_path: Path) -> None:
+    value = bytes(PushTelemetry.ADDRESS) + encode_telemetry({"battery": (50,)}, profile("1.0"))
+    frames = [encode_frame(value, session=0, sequence=number) for number in range(10, 30)]
+    frames.insert(7, encode_frame(b"\0\0", session=2, sequence=60, is_ack=True))
+    with (tmp_path / "a.mcap").open("xb") as stream:
+        log = LogWriter(stream, 10.0)
+        heard = [(Direction.RECEIVED, one, 5.0 + n / 100) for n, one in enumerate(frames)]
+        log.write(Batch(heard, profile=profile("1.0")))
+        log.finish()
+    flight = read(tmp_path / "a.mcap")
+    assert len(list(flight.samples(firmware="1.0"))) == 20
+    assert (flight.loss.came, flight.loss.lost) == (20, 0)
 
 
 async def test_a_version_that_comes_late_is_that_of_the_flight(tmp_path: Path) -> None:

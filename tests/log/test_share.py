@@ -244,6 +244,8 @@ def test_no_word_that_is_not_the_librarys_own_is_copied(tmp_path: Path, seed: in
             content["event"] = draw.choice((*_EVENTS, "plan", "journal", *WORDS))
         elif topic == "/m100/link":
             content["firmware"] = "1.0"
+        else:
+            content |= {"command": drawn(draw), "ack": {"name": drawn(draw), "code": 1}}
         messages.append((topic, content))
     with (tmp_path / "b.mcap").open("xb") as stream:
         share(written(tmp_path / "a.mcap", *messages), stream)

@@ -221,6 +221,19 @@ def test_a_listener_hears_setpoints_as_often_as_it_asks() -> None:
     assert story.duration_s == 2.375
 
 
+def test_a_stream_names_its_own_last_motion_and_no_earlier_one() -> None:
+    story = FlightSummary("made")
+    reader = _CommandReader(story, 100.0, 0.5, None, profile("1.0"))
+    for at, north in ((101.0, 2.0), (101.1, 0.0), (105.0, 0.0), (105.1, 0.0)):
+        movement = {"control_flag": 72, "roll_or_x": north, "pitch_or_y": 0.0,
+                    "throttle_or_z": 0.0, "yaw": 0.0}  # fmt: skip
+        data = json.dumps({"command": "move", "movement": movement}, separators=(",", ":"))
+        reader.hear_move(Message("/m100/command", at, 0.0, data.encode()))
+    reader.end()
+    moving = "the last with motion at 1.00 s: 2 m/s north, 0 m/s east, 0 m/s up, 0 °/s yaw rate"
+    assert [one.text for one in story.streams] == [f"2 × move, {moving}", "2 × move"]
+
+
 @pytest.mark.parametrize(
     ("flag", "speed", "climb", "height"),
     [  # the control flag (document 3.2): bits 7 and 6 horizontal, 5 and 4 vertical
