@@ -158,6 +158,8 @@ class Bridge:
         self.peers = Peers(to)
         self._crafts = [_Craft(agent, system, autopilot, logs) for system, agent in agents.items()]
         self.vehicles = [craft.vehicle for craft in self._crafts]  # as they are translated
+        for vehicle in self.vehicles:
+            vehicle.files.on_answer = lambda: self._flush(self._clock())
         self._ours = {0, *agents}  # system ids of our own words, and of nobody's
         # The share still to be read of each address, and when it was shared out: not by each step,
         # whose rest is longer while nothing waits.

@@ -98,6 +98,8 @@ class FileService:
         self._directory = LogDirectory(folder)
         self._seen: tuple[float, list[LogEntry]] | None = None  # when, s; the oldest first
         self._send, self._agent = send, agent
+        # Called with each answer: its peer asks the next question when it has that one.
+        self.on_answer: Callable[[], None] = lambda: None
         self.made: dict[str, bytes] = {}
         # The newest list of each peer: numbers of logs are places in it.
         self._lists: dict[Peer, list[LogEntry]] = {}
@@ -252,6 +254,7 @@ class FileService:
         self._answered[peer] = now, question, answers
         _forget_oldest(self._answered)
         self._tell(answers, peer)
+        self.on_answer()
 
     async def _found(self, question: bytes, peer: Peer, now: float) -> tuple[int, list[Answer]]:
         """The session, and the answers. Raises _Refused: there is none."""
