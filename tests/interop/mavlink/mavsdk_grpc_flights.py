@@ -159,6 +159,14 @@ async def payload(drone: Any) -> None:
             pass
         assert path.stat().st_size == entries[-1].size_bytes
         assert path.read_bytes().startswith(b"\x89MCAP0\r\n")
+        [entry] = (await drone.ftp.list_directory("/log")).entries
+        for is_burst in (False, True):
+            target = Path(folder) / str(is_burst)
+            target.mkdir()
+            async for _ in drone.ftp.download(f"/log/{entry.name}", str(target), is_burst):
+                pass
+            found = (target / entry.name).read_bytes()
+            assert found.startswith(path.read_bytes()), len(found)
 
 
 async def stay(drone: Any) -> None:
