@@ -149,15 +149,12 @@ class Actions:
             """Nobody is refused a hover."""
             wanted = request["goal_info"]
             identity, stamp = bytes(wanted["goal_id"]["uuid"]), wanted["stamp"]
-            if identity != _NOBODY and identity not in self._goals:
+            ours = {key: one for key, one in self._goals.items() if one.action is action}
+            if identity != _NOBODY and identity not in ours:
                 return {"return_code": _UNKNOWN, "goals_canceling": []}
-            goal = self._current
-            is_meant = goal is not None and (
-                identity == goal.id
-                or (identity == _NOBODY and stamp == _NO_TIME and goal.action is action)
-                or (stamp != _NO_TIME and goal.action is action and _before(goal.stamp, stamp))
-            )
-            if goal is None or not is_meant:
+            goal = None if self._current is None else ours.get(self._current.id)
+            is_all = identity == _NOBODY and stamp == _NO_TIME
+            if goal is None or not (is_all or identity == goal.id or _before(goal.stamp, stamp)):
                 code = _CANCELING if identity == _NOBODY else _TERMINATED
                 return {"return_code": code, "goals_canceling": []}
             self._cancel(goal, "the goal was cancelled")
