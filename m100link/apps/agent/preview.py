@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import asdict
 
 from m100link.apps.agent.messages import GuardLimits
@@ -41,6 +41,20 @@ def preview(order: GuidedOrder, state: AircraftState | None, limits: GuardLimits
         return foresight.foresee_climb(state, guards, order.height)
     assert isinstance(order, ChangeHeading)
     return foresight.foresee_turn(state, guards, order.yaw_deg)
+
+
+def require_inside(
+    legs: Iterable[GuidedOrder], state: AircraftState | None, limits: GuardLimits
+) -> None:
+    """Raise the ``GuardRefused`` by which the envelope would end one of these flights.
+
+    It holds on the ground as well: what follows a take-off costs none. Arguments: as
+    :func:`preview`.
+    """
+    for order in legs:
+        for error in preview(order, state, limits).refusals:
+            if isinstance(error, GuardRefused) and error.guard == "envelope":
+                raise error
 
 
 def preview_plan(

@@ -10,7 +10,7 @@ import asyncio
 import math
 from abc import ABC, abstractmethod
 from collections import OrderedDict
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 from functools import partial
@@ -22,6 +22,7 @@ from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.messages import Event
 from m100link.apps.agent.messages import EventTopic as EventTopic
 from m100link.apps.agent.orders import ChangeHeight, FlyTo, GuidedOrder
+from m100link.apps.agent.preview import require_inside
 from m100link.apps.ros2.control import RosControl
 from m100link.apps.ros2.endpoints import Endpoints, Heartbeat, PublishedTopic
 from m100link.apps.ros2.graph import GraphDiscovery, Names, Qos, Seen
@@ -183,6 +184,7 @@ class Actions:
             if goal.status is GoalStatus.ACCEPTED:  # else it was cancelled before it began
                 goal.status = GoalStatus.EXECUTING
                 self._tell_status(goal.action)
+                goal.flight.require_inside()
                 await goal.flight.run()
             outcome, message = GoalStatus.SUCCEEDED, "done"
         except M100Error as error:
@@ -252,11 +254,17 @@ _LONGEST_WAIT_S = 600.0
 class FlightGoal(ABC):
     """A goal that flies: orders to the agent under the lease of their beginning."""
 
+    legs: Sequence[GuidedOrder]  # what it flies, but for the autopilot's take-off
+
     def __init__(self, agent: AgentClient, control: RosControl) -> None:
         self._agent, self._lease = agent, control.session.held()
         # A STOP since the goal came overtakes each of its orders.
         self._ask = partial(agent.ask, lease=self._lease, asked_at=agent.asked_at)
         self._ended = asyncio.Event()
+
+    def require_inside(self) -> None:
+        """Raise GuardRefused before anything moves, where a later leg leaves the envelope."""
+        require_inside(self.legs, self._agent.view.telemetry, self._agent.state.limits)
 
     @abstractmethod
     async def run(self) -> None:
@@ -299,14 +307,13 @@ class FlightGoal(ABC):
 class _TakeOff(FlightGoal):
     def __init__(self, agent: AgentClient, control: RosControl, goal: Mapping[str, Any]) -> None:
         super().__init__(agent, control)
-        self._height = _finite("a height", goal["height"])
-        if self._height < 0.0:
-            raise UsageError("a height below the take-off point")
+        self._height = _height(goal["height"])
+        self.legs = [ChangeHeight(self._height)]
 
     async def run(self) -> None:
         await self._ask(orders.TakeOff())
         if self._height and abs(self._now() - self._height) >= _CLOSE_M:
-            await self.guide(ChangeHeight(self._height))
+            await self.guide(*self.legs)
 
     def _now(self) -> float:
         position = self._agent.view.get(Position)
@@ -319,10 +326,10 @@ class _TakeOff(FlightGoal):
 class _FlyTo(FlightGoal):
     def __init__(self, agent: AgentClient, control: RosControl, goal: Mapping[str, Any]) -> None:
         super().__init__(agent, control)
-        self._order = _order(goal, goal["speed"])
+        self.legs = [_order(goal, goal["speed"])]
 
     async def run(self) -> None:
-        await self.guide(self._order)
+        await self.guide(*self.legs)
 
     def feedback(self) -> Mapping[str, Any]:
         return self.progress()
@@ -334,11 +341,12 @@ class _FlyMission(FlightGoal):
         points = goal["waypoints"]
         if not 0 < len(points) <= _MOST_WAYPOINTS:
             raise UsageError(f"a mission has 1 to {_MOST_WAYPOINTS} waypoints, not {len(points)}")
-        self._legs = [(_order(one, goal["speed"]), _wait(one["wait"])) for one in points]
+        self.legs = [_order(one, goal["speed"]) for one in points]
+        self._waits = [_wait(one["wait"]) for one in points]
         self._place = 0
 
     async def run(self) -> None:
-        for place, (order, wait) in enumerate(self._legs):
+        for place, (order, wait) in enumerate(zip(self.legs, self._waits, strict=True)):
             self._place = place
             await self.guide(order)
             if wait:
@@ -354,6 +362,12 @@ def _finite(what: str, value: float) -> float:
     return value
 
 
+def _height(metres: float) -> float:
+    if _finite("a height", metres) < 0.0:
+        raise UsageError("a height below the take-off point")
+    return metres
+
+
 def _wait(seconds: float) -> float:
     if not 0.0 <= _finite("a time", seconds) <= _LONGEST_WAIT_S:
         raise UsageError(f"a wait of {seconds:g} s", remedy=f"0 to {_LONGEST_WAIT_S:g} s")
@@ -363,7 +377,7 @@ def _wait(seconds: float) -> float:
 def _order(place: Mapping[str, Any], speed: float) -> FlyTo:
     latitude = _finite("a latitude", place["latitude"])
     longitude = _finite("a longitude", place["longitude"])
-    height = _finite("a height", place["height"])
+    height = _height(place["height"])
     if abs(latitude) > 89.0 or abs(longitude) > 180.0:
         raise UsageError(f"{latitude:g}, {longitude:g} is not a place", remedy="degrees are needed")
     if not 0.0 <= _finite("a speed", speed) <= _FASTEST:

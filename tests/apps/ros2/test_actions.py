@@ -258,6 +258,7 @@ async def test_the_pilot_ends_a_goal(rig: Rig, client: Client) -> None:
     [
         ("~/take_off", {"height": math.nan}),
         ("~/take_off", {"height": -3.0}),
+        ("~/fly_to", {"latitude": 0.0, "longitude": 0.0, "height": -3.0, "speed": 1.0}),
         ("~/fly_to", {"latitude": 120.0, "longitude": 0.0, "height": 5.0, "speed": 1.0}),
         ("~/fly_to", {"latitude": math.inf, "longitude": 0.0, "height": 5.0, "speed": 1.0}),
         ("~/fly_to", {"latitude": 0.0, "longitude": 0.0, "height": 5.0, "speed": 99.0}),
@@ -293,6 +294,30 @@ async def test_a_place_outside_the_envelope_is_refused(rig: Rig, client: Client)
     assert status is GoalStatus.ABORTED
     assert "what to do" in why
     assert rig.speed < 0.3
+
+
+async def test_a_goal_that_the_envelope_would_end_moves_nothing(rig: Rig, client: Client) -> None:
+    """The seconds that a goal flies before the leg outside are flown for nothing."""
+    assert (await client.call("~/obtain_control"))["success"]
+
+    async def reason(name: str, **goal: Any) -> str:
+        sent = await client.send(name, **goal)
+        assert sent is not None
+        status, why = await client.result(name, sent)
+        assert status is GoalStatus.ABORTED
+        return why
+
+    for height in (1e9, 3e38, 50.1):
+        why = await reason("~/take_off", height=height)
+        assert "what to do" in why
+        assert not rig.motors_on
+    assert (await client.call("~/takeoff"))["success"]
+    await rig.until(lambda: rig.height > 1.0 and not rig.client.state.task)
+    near = client.place(20.0, 0.0) | {"height": 4.0, "wait": 0.0}
+    for far in ({"height": 400.0}, client.place(5000.0, 0.0)):
+        why = await reason("~/fly_mission", waypoints=[near, near | far], speed=3.0)
+        assert "what to do" in why
+        assert rig.speed < 0.3
 
 
 async def test_a_goal_that_nobody_knows(rig: Rig, client: Client) -> None:
@@ -619,7 +644,7 @@ def test_a_mission_has_500_places_at_most(count: int, is_one: bool) -> None:
             make(MagicMock(), MagicMock(), goal)
         return
     flight: Any = make(MagicMock(), MagicMock(), goal)
-    assert len(flight._legs) == count
+    assert len(flight.legs) == len(flight._waits) == count
     flight._place, flight._agent.state.guided = 7, SimpleNamespace(distance_m=12.5, seconds=3.25)
     assert flight.feedback() == {"waypoint": 7, "distance": 12.5, "seconds": 3.25}
 

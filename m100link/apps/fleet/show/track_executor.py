@@ -10,6 +10,7 @@ lets go of the aircraft and does nothing more.
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Awaitable, Callable
 from functools import partial
 from typing import Literal
@@ -20,6 +21,7 @@ from m100link.apps.agent.control_session import ControlSession
 from m100link.apps.agent.latency import DRIFT
 from m100link.apps.agent.messages import Event, EventTopic
 from m100link.apps.agent.orders import ChangeHeight, FlyTo
+from m100link.apps.agent.preview import require_inside
 from m100link.apps.fleet.expiry import OrderExpiry
 from m100link.apps.fleet.payloads import (
     LeaveShow,
@@ -31,7 +33,7 @@ from m100link.apps.fleet.payloads import (
 )
 from m100link.apps.fleet.show.plan import conflicts
 from m100link.apps.fleet.show.plan.steering import LeftShow, TrackSteering, Why
-from m100link.apps.fleet.show.plan.track import BadShow, TimedTrack, Vector
+from m100link.apps.fleet.show.plan.track import BadShow, TimedPoint, TimedTrack, Vector
 from m100link.errors import M100Error, NoAuthority, TelemetryStalled, UsageError
 from m100link.flight.guards import MAX_COMMAND_M_S
 from m100link.flight.pacing import Ticker
@@ -178,9 +180,20 @@ class TrackExecutor:
         return track.digest
 
     def place(self, who: str, asked_at: float) -> None:
-        """Begin to take off and to fly to the first point; ``asked_at``: as an agent's client."""
+        """Begin to take off and to fly to the first point; ``asked_at``: as an agent's client.
+
+        Raises ShowRefused, GuardRefused: the guards of its agent would end its track.
+        """
         self._require(TakePlace, "place")
-        TrackSteering(self._loaded(), self._fastest).require_fast_enough()
+        track, client = self._loaded(), self._client
+        TrackSteering(track, self._fastest).require_fast_enough()
+        first = track.points[0]
+        highest = max(track.points, key=lambda one: one.height)
+        farthest = max(
+            track.points, key=lambda one: math.hypot(one.north - first.north, one.east - first.east)
+        )
+        legs = (self._flight_to(track, one) for one in (first, highest, farthest))
+        require_inside(legs, client.view.telemetry, client.state.limits)
         self.heard()
         self.stage, self._placed_at = ShowStage.PLACING, asked_at
         self._do(lambda: self._place(who, asked_at))
@@ -285,11 +298,14 @@ class TrackExecutor:
     async def _take_place(self, ask: Callable[..., Awaitable[object]], track: TimedTrack) -> None:
         if not self._client.view.is_airborne:
             await ask(orders.TakeOff())
-        first = track.points[0]
-        height = first.height - track.ground_m
-        await ask(ChangeHeight(height))
-        place = LocalFrame(*track.origin).to_geodetic(first.north, first.east)
-        await ask(FlyTo(*place, height, yaw_deg=track.heading_deg))
+        first = self._flight_to(track, track.points[0])
+        await ask(ChangeHeight(first.height))
+        await ask(first)
+
+    def _flight_to(self, track: TimedTrack, point: TimedPoint) -> FlyTo:
+        speed = min(FlyTo.speed, self._fastest)
+        place = LocalFrame(*track.origin).to_geodetic(point.north, point.east)
+        return FlyTo(*place, point.height - track.ground_m, speed, track.heading_deg)
 
     async def _attend(self) -> None:
         while True:

@@ -9,7 +9,7 @@ from enum import Enum
 
 from m100link.apps.agent import orders
 from m100link.apps.agent.orders import GuidedOrder
-from m100link.apps.agent.preview import preview, preview_plan
+from m100link.apps.agent.preview import preview, preview_plan, require_inside
 from m100link.apps.mavlink.translator.codec import LAYOUTS, Peer
 from m100link.apps.mavlink.translator.flight_mode_manager import FlightModeManager
 from m100link.apps.mavlink.translator.numbers import (
@@ -361,10 +361,11 @@ class CommandProtocol:
         if route.height is not None:
             legs.insert(0, ("take-off", orders.ChangeHeight(route.height)))
         for what, order in legs:
-            for error in preview(order, known.telemetry, known.state.limits).refusals:
-                if isinstance(error, GuardRefused) and error.guard == "envelope":
-                    where = error.seen.partition(" to ")[2]
-                    return f"{what}: {where}; --max-radius, --max-height widen it"
+            try:
+                require_inside((order,), known.telemetry, known.state.limits)
+            except GuardRefused as error:
+                where = error.seen.partition(" to ")[2]
+                return f"{what}: {where}; --max-radius, --max-height widen it"
         return ""
 
     # -- messages and rates ----------------------------------------------------------------------

@@ -31,7 +31,15 @@ from m100link.apps.fleet.show.plan.steering import (
 )
 from m100link.apps.fleet.show.plan.track import BadShow
 from m100link.apps.fleet.show.track_executor import ALLOWED, ATTENDED_S, Leave, TrackExecutor
-from m100link.errors import AuthorityLost, M100Error, NoAuthority, TelemetryStalled, UsageError
+from m100link.errors import (
+    AuthorityLost,
+    GuardRefused,
+    M100Error,
+    NoAuthority,
+    TelemetryStalled,
+    UsageError,
+)
+from m100link.flight.guards import Envelope, Guards
 from m100link.protocol.records import Attitude, Position, Velocity
 from m100link.protocol.setpoint import Setpoint
 from m100link.sim.vehicle.settings import AircraftSettings
@@ -335,6 +343,35 @@ async def test_an_aircraft_that_stands_elsewhere_never_takes_off(stand: Stand) -
     assert isinstance(performer.fault, ShowRefused)
     assert not stand.one.aircraft.vehicle.flight.dynamics.motors_on
     assert stand.one.client.holder.number == 0
+
+
+@pytest.mark.parametrize(
+    ("points", "limit"),
+    [
+        (((0, 0, 0, 61), (8, 0, 0, 61)), 50.0),  # its place
+        (((0, 0, 0, 4), (60, 0, 0, 61), (120, 0, 0, 4)), 50.0),
+        (((0, 0, 0, 4), (60, 160, 0, 4), (120, 0, 0, 4)), 150.0),
+    ],
+)
+async def test_a_track_that_the_envelope_would_end_takes_off_nowhere(
+    stand: Stand, points: tuple[tuple[float, float, float, float], ...], limit: float
+) -> None:
+    performer = stand.performer
+    performer.load(track("a1", *points).to_bytes(), "land")
+    with pytest.raises(GuardRefused, match="the envelope ends") as caught:
+        performer.place("anna", asked_at=0.0)
+    assert (caught.value.limit, performer.stage) == (limit, LOADED)
+    await anyio.sleep(3.0)
+    assert not stand.one.aircraft.vehicle.flight.dynamics.motors_on
+
+
+async def test_guards_slower_than_the_way_to_its_place_slow_that_down(stand: Stand) -> None:
+    stand.one.agent.holding._guards = Guards(envelope=Envelope(max_speed_m_s=2.0))
+    await anyio.sleep(1.0)
+    performer = stand.performer
+    performer.load(track("a1", (0, 0, 0, 4), (30, 12, 0, 5)).to_bytes(), "land")
+    performer.place("anna", asked_at=0.0)
+    await stand.rig.until(stand.is_ready)
 
 
 async def test_it_flies_at_the_heights_of_the_show_where_its_ground_is_lower(stand: Stand) -> None:
