@@ -57,23 +57,46 @@ class Places:
         return east, north, position.height_m
 
 
+class _Rate:
+    """When topics of one rate send: of the same package, so that their stamps are equal."""
+
+    __slots__ = ("due_at", "hz", "number", "pause")
+
+    def __init__(self, hz: float) -> None:
+        self.hz = hz  # messages per second at most; 0 for each that there is
+        self.pause = 1.0 / hz if hz else 0.0  # seconds between two messages
+        self.due_at = 0.0  # from when on the next ones are sent, s
+        self.number = 0  # how often it was so
+
+    def begin(self, now: float) -> None:
+        """From when it was due, so that the rate holds; not from long ago, and a little early."""
+        self.due_at = max(self.due_at + self.pause, now + (1.0 - _EARLY) * self.pause)
+        self.number += 1
+
+
 class _Source:
     """A topic that is made of packages of telemetry.
 
-    ``make``: makes a message of a package; None where that has nothing for it. ``hz``: messages per
-    second at most.
+    ``make``: makes a message of a package; None where that has nothing for it.
     """
 
-    __slots__ = ("due_at", "make", "name", "pause", "topic")
+    __slots__ = ("_sent", "make", "name", "rate", "topic")
 
-    def __init__(self, name: str, topic: PublishedTopic, make: _Make, hz: float) -> None:
+    def __init__(self, name: str, topic: PublishedTopic, make: _Make, rate: _Rate) -> None:
         self.name, self.topic, self.make = name, topic, make
-        self.pause = 1.0 / hz  # seconds between two messages
-        self.due_at = 0.0  # from when on the next one is sent, s
+        self.set_rate(rate)
+
+    def set_rate(self, rate: _Rate) -> None:
+        self.rate, self._sent = rate, -1
+
+    def is_due(self, now: float) -> bool:
+        """Whether it has not sent since its rate was due, of a package that had nothing for it."""
+        return now >= self.rate.due_at or self._sent != self.rate.number
 
     def report(self, now: float) -> None:
-        """From when it was due, so that the rate holds; not from long ago, and a little early."""
-        self.due_at = max(self.due_at + self.pause, now + (1.0 - _EARLY) * self.pause)
+        if now >= self.rate.due_at:
+            self.rate.begin(now)
+        self._sent = self.rate.number
 
 
 class MessageMaker:
@@ -116,8 +139,9 @@ class MessageMaker:
         makers |= dji_makers()
         if unlisted := makers.keys() - ALL_OUTPUTS.keys():
             raise LookupError(f"OUTPUTS has no row for {', '.join(sorted(unlisted))}")
+        rates = {row.hz: _Rate(row.hz) for row in ALL_OUTPUTS.values()}
         self._sources = [
-            _Source(name, topics[name], make, ALL_OUTPUTS[name].hz)
+            _Source(name, topics[name], make, rates[ALL_OUTPUTS[name].hz])
             for name, make in makers.items()
             if name in topics
         ]
@@ -132,7 +156,7 @@ class MessageMaker:
     def hear(self, sample: Sample) -> None:
         now = sample.received_at
         self._stamps.hear(sample)
-        due = [one for one in self._sources if one.topic.is_wanted and now >= one.due_at]
+        due = [one for one in self._sources if one.topic.is_wanted and one.is_due(now)]
         if not due:
             return
         stamp = self._stamps.of(sample)
@@ -147,9 +171,10 @@ class MessageMaker:
     def set_hz(self, name: str, hz: float) -> None:
         """Let a topic have so many messages per second at most; 0 for each that there is."""
         self.hz[name] = hz
+        rates = {source.rate.hz: source.rate for source in self._sources}
         for source in self._sources:
             if source.name == name:
-                source.pause = 1.0 / hz if hz else 0.0
+                source.set_rate(rates.get(hz) or _Rate(hz))
 
     def _read(self, record: type[R], sample: Sample) -> R | None:
         """An item of this package; several topics ask for the same."""

@@ -18,6 +18,7 @@ from m100link.apps.ros2.publishers import (
     MessageMaker,
     Stamps,
     Status,
+    _Rate,
     _Source,
     diagnostics,
 )
@@ -423,16 +424,56 @@ def test_a_clock_is_asked_four_times_a_second_and_ticks_count_in_between() -> No
         (50.0, (1.0, 1.016), 1.036),
         (50.0, (1.0, 1.03), 1.046),
         (10.0, (1.0, 5.0), 5.08),  # what was missed is not made up for
-        (10.0, (1.0, 1.08, 1.18), 1.28),
+        (10.0, (1.0, 1.08, 1.181), 1.28),
     ],
 )
 def test_the_next_message_is_due_when_its_rate_says(
     hz: float, times: tuple[float, ...], due: float
 ) -> None:
-    source = _Source("~/imu", cast(Any, None), lambda *_: None, hz)
+    source = _Source("~/imu", cast(Any, None), lambda *_: None, _Rate(hz))
     for now in times:
+        assert source.is_due(now)
         source.report(now)
-    assert source.due_at == pytest.approx(due)
+    assert source.rate.due_at == pytest.approx(due)
+    assert (source.is_due(due - 1e-6), source.is_due(due + 1e-6)) == (False, True)
+
+
+def test_topics_of_one_rate_are_made_of_the_same_packages() -> None:
+    rate = _Rate(50.0)
+    imu, odom = (_Source(name, cast(Any, None), lambda *_: None, rate) for name in ("imu", "odom"))
+    imu.report(1.0)
+    assert odom.is_due(1.01), "the package before had nothing for it"
+    odom.report(1.01)
+    assert not any(one.is_due(1.015) for one in (imu, odom))
+    assert imu.is_due(1.02)
+    imu.report(1.02)
+    odom.report(1.02)
+    assert not any(one.is_due(1.03) for one in (imu, odom))
+
+
+@pytest.mark.parametrize("late", [0.01, 0.02, 0.03])
+async def test_the_frame_of_a_pose_has_its_stamp_whoever_listened_first(
+    rig: Rig, late: float
+) -> None:
+    """What looks a transform up by the stamp of ~/odom finds it, and guesses nothing."""
+    names = ("/tf", "~/odom", "~/pose")
+    for place, name in enumerate(names):
+        rig.outlet(name).has_listeners = False
+        rig.node.ends.look()
+        await anyio.sleep(1.0 + place * late)
+    for name in names:
+        rig.outlet(name).has_listeners = True
+        rig.node.ends.look()
+        await anyio.sleep(late)
+    await anyio.sleep(0.5)
+    for name in names:
+        rig.outlet(name).sent.clear()
+    await anyio.sleep(1.0)
+    frames, odom, pose = (rig.said(name) for name in names)
+    stamps = [one["transforms"][0]["header"]["stamp"] for one in frames]
+    assert len(stamps) == pytest.approx(50, abs=2)
+    assert stamps == [one["header"]["stamp"] for one in odom]
+    assert stamps == [one["header"]["stamp"] for one in pose]
 
 
 class Said:
@@ -477,12 +518,14 @@ def test_a_mission_event_has_five_bytes(data: bytes, told: list[int]) -> None:
 
 def test_rates_are_pauses_and_none_is_each() -> None:
     one, _ = maker(Names.of("/", "m100"))
-    source = _Source("~/imu", cast(Any, None), lambda *_: None, 50.0)
-    one._sources = [source, _Source("~/odom", cast(Any, None), lambda *_: None, 50.0)]
-    for hz, pause in ((8.0, 0.125), (0.0, 0.0)):
+    rate = _Rate(50.0)
+    source = _Source("~/imu", cast(Any, None), lambda *_: None, rate)
+    one._sources = [source, _Source("~/odom", cast(Any, None), lambda *_: None, rate)]
+    for hz, pause in ((8.0, 0.125), (0.0, 0.0), (50.0, 0.02)):
         one.set_hz("~/imu", hz)
-        assert (source.pause, one.hz["~/imu"]) == (pause, hz)
-    assert one._sources[1].pause == 0.02
+        assert (source.rate.pause, one.hz["~/imu"]) == (pause, hz)
+        assert one._sources[1].rate is rate
+    assert source.rate is rate
 
 
 @pytest.mark.parametrize(
