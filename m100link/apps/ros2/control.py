@@ -33,6 +33,7 @@ class _Sender:
     sent_at: float = -math.inf  # when that was sent, s, by the clock of its sender
     sequence: int = 0  # how many it had sent by then, as it counts
     way: ClockEstimate = field(default_factory=ClockEstimate)
+    made: ClockEstimate = field(default_factory=ClockEstimate)  # by the stamps in its headers
 
 
 class SetpointMux:
@@ -55,10 +56,13 @@ class SetpointMux:
     def end(self) -> None:
         self.is_open, self.holder = False, None
 
-    def hear(self, sender: bytes, sent_at: float, now: float, sequence: int = 0) -> str:
+    def hear(
+        self, sender: bytes, sent_at: float, now: float, sequence: int = 0, made_at: float = 0.0
+    ) -> str:
         """A setpoint came. Returns why it is not flown, empty where it is.
 
-        ``sent_at``: when it was sent, s, by the clock of its sender. ``now``: s.
+        ``sent_at``: when it was sent, s, by the clock of its sender. ``now``: s. ``made_at``: when
+        it was made, s, by whichever clock: a relay sends an old one anew. 0: it says no time.
         """
         known = self._senders.pop(sender, None)
         if known is None:
@@ -71,6 +75,8 @@ class SetpointMux:
         begins = self._begins(known, sent_at, now, sequence) and now >= self._crowded_until
         known.heard_at, known.sent_at, known.sequence = now, sent_at, sequence
         late = known.way.late(sent_at, now)
+        if made_at:
+            late = max(late, known.made.late(made_at, now))
         if not self.is_open:
             return self._refuse("closed")
         if self.holder is None and begins:

@@ -49,7 +49,7 @@ _MOST_REPORTED = 16
 _REFUSED = {
     "other": "another publisher is active, or this one was cut off while it published; "
     "pause for half a second, then publish again",
-    "late": "too late, by the time stamps in its attachments",
+    "late": "too late, by the time stamps of its attachments or headers",
 }
 
 Make = Callable[[dict[str, Any]], Setpoint]
@@ -142,8 +142,11 @@ class Node:
         newest: dict[str, Any] | None = None
         now = self._agent.now
         for attachment, message in source.take():
-            sent_at = attachment.at_ns / 1e9
-            why = self.control.mux.hear(attachment.gid, sent_at, now, attachment.sequence)
+            sent_at, made_at = attachment.at_ns / 1e9, 0.0
+            if "header" in message:
+                stamp = message["header"]["stamp"]
+                made_at = stamp["sec"] + stamp["nanosec"] / 1e9
+            why = self.control.mux.hear(attachment.gid, sent_at, now, attachment.sequence, made_at)
             if why:
                 refused = self.control.refusal() if why == "closed" else _REFUSED[why]
                 self._tell(f"{name}: {refused}", "warning")

@@ -115,9 +115,10 @@ class Program:
             inbox.waiting.append(Received(encode(kind, message), attachment))
 
     def speed(self, x: float = 0.0, y: float = 0.0, z: float = 0.0, **more: Any) -> None:
-        """~/cmd_vel; ``turn`` and ``frame`` besides."""
+        """~/cmd_vel; ``turn``, ``frame`` and ``made_at`` (POSIX time, s) besides."""
+        sec, part = divmod(more.get("made_at", 0.0), 1.0)
         header = {
-            "stamp": {"sec": 0, "nanosec": 0},
+            "stamp": {"sec": int(sec), "nanosec": int(1e9 * part)},
             "frame_id": more.get("frame", "base_link"),
         }
         angular = {"x": 0.0, "y": 0.0, "z": more.get("turn", 0.0)}

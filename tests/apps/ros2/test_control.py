@@ -44,6 +44,16 @@ def stick() -> SetpointMux:
     return made
 
 
+def test_a_setpoint_is_as_late_as_the_older_of_its_two_stamps(stick: SetpointMux) -> None:
+    """0.3 s above the fastest: by the attachment, the header, or each; a header may have none."""
+    assert stick.hear(ONE, 0.0, 0.0, 0, 500.0) == ""
+    assert stick.hear(ONE, 0.1, 0.1, 1, 499.81) == ""
+    assert stick.hear(ONE, 0.2, 0.2, 2, 499.89) == "late"
+    assert stick.hear(ONE, 0.0, 0.31, 3, 500.31) == "late"
+    assert stick.hear(ONE, 0.4, 0.4, 4, 0.0) == ""
+    assert stick.hear(ONE, 0.5, 0.5, 5, 500.5) == ""
+
+
 def test_a_program_that_begins_first_has_it(stick: SetpointMux) -> None:
     assert stick.hear(ONE, 0.0, 0.0) == ""
     assert stick.hear(OTHER, 0.1, 0.1) == "other"

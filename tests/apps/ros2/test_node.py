@@ -241,6 +241,25 @@ async def test_setpoints_that_waited_are_not_flown(rig: Rig, program: Program) -
     assert rig.node.control.mux.refused["late"] == 20
 
 
+async def test_a_relay_keeps_no_queue_alive_whose_program_has_ended(
+    rig: Rig, program: Program
+) -> None:
+    """It takes one of 20 messages a second every 0.1 s, and its own attachments are young."""
+    await program.up()
+    for _ in range(40):
+        program.speed(2.0, made_at=rig.utc() - 0.01)
+        await anyio.sleep(0.05)
+    assert rig.speed > 1.5, "without a queue it flies by the same stamps"
+    began_at = rig.utc()
+    for number in range(40):  # 2 s of messages, in 4 s
+        if number == 30:
+            assert rig.speed < 0.3, "what flies now was made 1.5 s ago"
+        program.speed(2.0, made_at=began_at + 0.05 * number)
+        await anyio.sleep(0.1)
+    # Those that are at most 0.3 s later than the fastest fly: seven.
+    assert rig.node.control.mux.refused["late"] == pytest.approx(33, abs=1)
+
+
 async def test_a_place_is_flown_to(rig: Rig, program: Program) -> None:
     await program.up()
     header = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": "odom"}
@@ -377,7 +396,7 @@ def test_a_setpoint_is_as_old_as_its_attachment_says() -> None:
     came = [(Attachment(3 + n, 1_500_000_000 + n, b"g" * 16), {"number": n}) for n in range(2)]
     source: Any = SimpleNamespace(take=lambda: came)
     node._hear("~/cmd_vel", source, lambda message: message["number"])
-    assert heard == [(b"g" * 16, 1.5, 40.0, 3), (b"g" * 16, pytest.approx(1.5), 40.0, 4)]
+    assert heard == [(b"g" * 16, 1.5, 40.0, 3, 0), (b"g" * 16, pytest.approx(1.5), 40.0, 4, 0)]
     assert control.session.steer.mock_calls == [call(1, 0.3)]
     node._deaf_until = 40.1  # what comes now was sent while it stood still
     node._hear("~/cmd_vel", source, lambda message: message["number"])
