@@ -11,6 +11,7 @@ import os
 import re
 from collections.abc import Awaitable, Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 from m100link.apps.agent.background import TaskSet
@@ -54,9 +55,8 @@ class PublishedTopic:
 
 
 class Input:
-    def __init__(self, inbox: Inbox[Received], kind: str) -> None:
-        self._inbox, self._kind = inbox, kind
-        self.refused = 0
+    def __init__(self, inbox: Inbox[Received], kind: str, refuse: Callable[[str], None]) -> None:
+        self._inbox, self._kind, self._refuse = inbox, kind, refuse
 
     def take(self) -> Iterator[tuple[graph.Attachment, dict[str, Any]]]:
         """The samples since the last call, oldest first."""
@@ -64,7 +64,7 @@ class Input:
             try:
                 found = graph.read_attachment(one.attachment), decode(self._kind, one.payload)
             except ValueError:
-                self.refused += 1
+                self._refuse("a message that cannot be read")
                 continue
             yield found
 
@@ -90,9 +90,9 @@ class Endpoints:
         self._bus, self._name, self._background, self._utc = bus, name, background, utc
         self._count = name.number * 1000  # an end has a number of its own in the session
         self.topics: dict[str, PublishedTopic] = {}  # what is published, by full name
-        self.inputs: dict[str, Input] = {}  # what is listened to, by full name
         self._services: list[_Service] = []
-        self.refused = 0  # requests that could not be read, or were too many
+        self.refused = 0  # messages and requests that could not be read, or were too many
+        self.refusal = ""  # which topic or service the newest of them was for, and why
         # Tokens end when nobody holds them.
         self._tokens: list[Held] = [bus.declare(name.token)]
 
@@ -110,10 +110,8 @@ class Endpoints:
 
     def subscribe(self, topic: str, kind: str) -> Input:
         inbox = self._bus.inbox(graph.data_key(self._name.domain, topic, kind), _DEPTH)
-        made = Input(inbox, kind)
-        self.inputs[f"{topic} {kind}"] = made
         self._show(graph.EntityKind.SUBSCRIBER, topic, kind, graph.Qos())
-        return made
+        return Input(inbox, kind, partial(self._refuse, topic))
 
     def serve(
         self,
@@ -130,9 +128,9 @@ class Endpoints:
         self._services.append(_Service(topic, kind, key, requests, call, at_once, ends))
         self._show(graph.EntityKind.SERVER, topic, kind, graph.Qos())
 
-    @property
-    def junk(self) -> int:
-        return self.refused + sum(one.refused for one in self.inputs.values())
+    def _refuse(self, topic: str, why: str) -> None:
+        self.refused += 1
+        self.refusal = f"{topic}: {why}"
 
     def look(self) -> None:
         for topic in self.topics.values():
@@ -157,8 +155,8 @@ class Endpoints:
             is_late = is_deaf and (ends is None or ends.after_stop is not AfterStop.DONE)
             if is_late or (ends is None and service.calls >= service.at_once):
                 raise ValueError("too late, or too many")
-        except ValueError:
-            self.refused += 1
+        except ValueError as error:
+            self._refuse(service.topic, f"a request without an answer: {error}")
             request.drop()
             return
         service.calls += 1
@@ -174,8 +172,8 @@ class Endpoints:
     ) -> None:
         try:
             answer = encode(f"{service.kind}_Response", await service.call(message))
-        except M100Error:
-            self.refused += 1
+        except M100Error as error:
+            self._refuse(service.topic, f"a request without an answer: {error.seen}")
             request.drop()
             return
         except BaseException:

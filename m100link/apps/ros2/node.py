@@ -118,7 +118,7 @@ class Node:
     def counted(self) -> dict[str, int]:
         """Setpoints and payloads that were refused, by the reason."""
         refused = {f"setpoints {why}": count for why, count in self.control.mux.refused.items()}
-        return {"payloads that could not be read": self.ends.junk, **refused}
+        return {"payloads that could not be read": self.ends.refused, **refused}
 
     # -- setpoints -------------------------------------------------------------------------------
 
@@ -227,6 +227,9 @@ class Node:
         if now - self._looked_at >= _LOOK_S:
             self._looked_at = now
             self.ends.look()
+            if self.ends.refusal:
+                self._tell(self.ends.refusal, "warning")
+                self.ends.refusal = ""
         self.teller.advance()
 
     async def run(self) -> None:

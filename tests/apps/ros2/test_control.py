@@ -507,7 +507,7 @@ async def test_a_program_that_asks_for_very_many_parameters_has_no_answer(
         for many in (65, 4000, 60000):
             assert await program.call(f"~/{name}", kind, names=["x"] * many) == {"success": None}
         assert len(await program.call(f"~/{name}", kind, names=["x"] * 64)) == 1
-    assert rig.node.ends.junk == 9
+    assert rig.node.ends.refused == 9
 
 
 # -- stop -----------------------------------------------------------------------------------------

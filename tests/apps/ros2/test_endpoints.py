@@ -179,6 +179,8 @@ async def test_a_request_is_answered_with_its_number_and_the_id_of_its_sender(
     made.take_requests(is_deaf=is_deaf)
     await anyio.sleep(0.01)
     assert made.refused == (2 if is_answered else 3)
+    why = "an attachment without an id of its sender" if is_answered else "too late, or too many"
+    assert made.refusal == f"/m100/x: a request without an answer: {why}"
     assert good.drop.called is not is_answered
     if is_answered:
         [(where, _, attachment)] = [one.args for one in good.answer.mock_calls]
@@ -191,12 +193,13 @@ def test_what_cannot_be_read_is_counted_and_the_rest_is_taken() -> None:
     inbox, kind = MemoryInbox[Any](99), "std_msgs/Float32"
     head = struct.pack("<QQB", 3, 4, 16) + bytes(16)
     whole = b"\0\x01\0\0" + struct.pack("<f", 2.5)
-    one = Input(inbox, kind)
+    refused: list[str] = []
+    one = Input(inbox, kind, refused.append)
     for payload, attachment in ((whole, head), (whole[:-1], head), (whole, head[:-1]), (b"", b"")):
         inbox.waiting.append(SimpleNamespace(payload=payload, attachment=attachment))
     [(found, message)] = one.take()
     assert (found.sequence, found.at_ns, message) == (3, 4, {"data": 2.5})
-    assert one.refused == 3
+    assert refused == ["a message that cannot be read"] * 3
 
 
 # -- types of the node by its service: rosbags makes the same hash of what is answered -------------

@@ -337,8 +337,12 @@ async def test_junk_is_counted_and_moves_nothing(rig: Rig, program: Program) -> 
             asked = Question(key, data, print, end, program.attachment())
             rig.inbox(name, service.kind).waiting.append(asked)
             await anyio.sleep(0.02)
+        if name == "~/takeoff":
+            await anyio.sleep(1.0)
+            assert "/m100/takeoff: a request without an answer: " in rig.texts
+    assert "/m100/cmd_vel: a message that cannot be read" in rig.texts
     assert len(dropped) >= 2 * len(SERVICES)
-    assert rig.node.ends.junk > 200
+    assert rig.node.ends.refused > 200
     assert rig.speed < 1.0
     assert not rig.work.done()
     assert (await program.call("~/land"))["success"]
@@ -352,7 +356,7 @@ async def test_a_program_that_asks_all_services_at_once_asks_none(
         assert await program.ask(pattern, "~/takeoff", SERVICES["~/takeoff"].kind) is None
     await anyio.sleep(3.0)
     assert rig.height < 0.5
-    assert rig.node.ends.junk == 2
+    assert rig.node.ends.refused == 2
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, 1e9])
