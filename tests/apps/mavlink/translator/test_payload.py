@@ -18,6 +18,7 @@ from m100link.apps.mavlink.translator.telemetry import STREAMS
 from m100link.geodesy import normalize_degrees
 from m100link.sim.line import LineFaults
 from m100link.sim.vehicle.gimbal import GimbalMount
+from m100link.sim.vehicle.settings import AircraftSettings
 from tests.apps.mavlink.conftest import Ground, Rig
 
 pytestmark = pytest.mark.anyio
@@ -41,7 +42,8 @@ LOOK, LOOK_AWAY = MavCommand.DO_SET_ROI_LOCATION, MavCommand.DO_SET_ROI_NONE
 
 @pytest.fixture
 async def rig() -> AsyncIterator[Rig]:
-    async with Rig(firmware="3.1").running() as one:
+    nose = AircraftSettings(heading_deg=25.0)  # where frames differ
+    async with Rig(firmware="3.1", settings=nose).running() as one:
         await one.until(lambda: bool(one.ground.cameras))
         await one.client.ask(orders.Activate())
         yield one
