@@ -418,6 +418,8 @@ async def test_its_attitude_is_a_quaternion_from_north(rig: Rig, ground: Ground)
         (-45.0, -90.0, ROLL_LOCK | PITCH_LOCK | LOCK, (-45.0, "north", -90.0)),
         (10.0, 30.0, OF_NOSE, (10.0, "nose", 30.0)),
         (10.0, 30.0, LOCK | OF_NORTH, (10.0, "north", 30.0)),
+        (10.0, 30.0, LOCK | OF_NOSE, (10.0, "nose", 30.0)),  # then it stays with north
+        (10.0, 30.0, OF_NORTH, (10.0, "north", 30.0)),  # then it goes with the nose
         (-90.0, NAN, 0, (-90.0, "nose", None)),
         (NAN, 45.0, LOCK, (None, "north", 45.0)),
         (NAN, NAN, NEUTRAL, (0.0, "nose", 0.0)),
