@@ -91,15 +91,16 @@ class LocalFrame:
 
         Args:
             latitude_deg: -89 to 89; nearer to a pole, east has no useful meaning.
-            longitude_deg: any; results are normalised to -180...180.
+            longitude_deg: -360 to 360; results are normalised to -180...180. Far beyond, the
+                difference of two longitudes loses one of them.
 
         Raises:
-            ValueError: The latitude is outside its range or a number is not finite.
+            ValueError: The latitude or the longitude is outside its range.
         """
         if not abs(latitude_deg) <= _MAXIMUM_FRAME_LATITUDE_DEG:
             raise ValueError(f"latitude must lie within ±89 degrees, got {latitude_deg}")
-        if not math.isfinite(longitude_deg):
-            raise ValueError(f"longitude must be finite, got {longitude_deg}")
+        if not abs(longitude_deg) <= 360:
+            raise ValueError(f"longitude must lie within ±360 degrees, got {longitude_deg}")
         self.latitude_deg = latitude_deg
         self.longitude_deg = normalize_degrees(longitude_deg)
         latitude = math.radians(latitude_deg)

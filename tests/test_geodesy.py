@@ -170,9 +170,11 @@ def test_no_local_frame_at_a_pole(latitude: float) -> None:
         LocalFrame(latitude, 0.0)
 
 
-def test_no_local_frame_at_an_infinite_longitude() -> None:
+@pytest.mark.parametrize("longitude", [360.1, -361.0, 1e300, math.nan, math.inf])
+def test_no_local_frame_at_a_longitude_that_is_none(longitude: float) -> None:
+    """At 1e300 the difference to another longitude is 1e300: a target far away seems near."""
     with pytest.raises(ValueError, match="longitude"):
-        LocalFrame(0.0, math.inf)
+        LocalFrame(0.0, longitude)
 
 
 @given(

@@ -579,10 +579,10 @@ def _place(
         )
     assert latitude_deg is not None
     assert longitude_deg is not None
-    if not abs(latitude_deg) <= 89 or not math.isfinite(longitude_deg):
+    if not (abs(latitude_deg) <= 89 and abs(longitude_deg) <= 360):
         raise UsageError(
             f"{latitude_deg:g}° {longitude_deg:g}° cannot be flown to",
-            remedy="finite numbers, latitude within ±89°",
+            remedy="latitude within ±89°, longitude within ±360°",
         )
     return latitude_deg, longitude_deg
 

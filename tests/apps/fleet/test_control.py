@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import inspect
+import math
 from random import Random
 from typing import Any
 
@@ -28,12 +29,36 @@ from m100link.errors import (
 )
 from m100link.geodesy import LocalFrame
 from m100link.protocol.setpoint import Setpoint
+from m100link.sim.vehicle.settings import AircraftSettings
 from m100link.sim.virtual import VirtualAircraft
 from tests.apps.bus.memory import Weather
 from tests.apps.fleet.conftest import Rig
 from tests.apps.fleet.missions.conftest import away
 
 pytestmark = pytest.mark.anyio
+
+NO_NUMBER = (math.nan, math.inf, -math.inf)
+HUGE = (1e9, -1e9, 3.5e38, 1e300)
+HERE = {"latitude_deg": 22.54, "longitude_deg": 113.95, "height": 4.0}
+IMPOSSIBLE: list[
+    tuple[type[orders.GuidedOrder], dict[str, float], dict[str, tuple[float, ...]]]
+] = [
+    (
+        orders.FlyTo,
+        HERE | {"speed": 3.0},
+        {"latitude_deg": (91.0, *HUGE), "longitude_deg": (361.0, *HUGE), "height": (-1.0, *HUGE)}
+        | {"speed": (0.0, -1.0, 10.5, *HUGE), "yaw_deg": ()},
+    ),
+    (
+        orders.FlyAround,
+        HERE | {"radius": 5.0, "speed": 2.0},
+        {"latitude_deg": (91.0, *HUGE), "longitude_deg": (361.0, *HUGE), "height": (-1.0, *HUGE)}
+        | {"radius": (0.5, -5.0, *HUGE), "speed": (0.0, -1.0, 10.5, *HUGE), "turns": (0.0, -1.0)},
+    ),
+    (orders.ChangeHeight, {}, {"height": (-1.0, 50.1, *HUGE)}),
+    (orders.ChangeHeading, {}, {"yaw_deg": ()}),
+]
+"""Orders to fly, numbers that each takes, and those that no field takes beside what is none."""
 
 NORTH = Setpoint.velocity(north=3.0, east=0.0, up=0.0, yaw_rate_deg_s=0.0)
 
@@ -54,6 +79,25 @@ async def test_one_flies_to_a_place_and_lands_as_the_block_is_left(rig: Rig) -> 
         assert one.height > 4.0
     assert one.height < 0.1
     assert one.client.holder.number == 0
+
+
+@pytest.mark.parametrize("seed", range(2))
+async def test_a_number_that_cannot_be_flown_moves_nothing(rig: Rig, seed: int) -> None:
+    draw = Random(seed)
+    settings = AircraftSettings(latitude_deg=22.54, longitude_deg=113.95)
+    one = await rig.aircraft("a1", virtual=VirtualAircraft(seed=5, settings=settings))
+    pilot = await rig.pilot()
+    async with pilot["a1"].control() as control:
+        await control.take_off()
+        await rig.until(lambda: one.speed < 0.05)
+        for _ in range(25):
+            kind, good, fields = draw.choice(IMPOSSIBLE)
+            field = draw.choice([*fields])
+            order = kind(**good | {field: draw.choice((*NO_NUMBER, *fields[field]))})  # type: ignore[arg-type]  # drawn
+            with pytest.raises(M100Error):
+                await control.ask(order)
+            assert abs(one.height - 1.2) < 0.2, (seed, order)
+            assert one.speed < 0.05, (seed, order)
 
 
 @pytest.mark.parametrize("what", ["unanswered", "refused", "of a take-off", "of a mission"])

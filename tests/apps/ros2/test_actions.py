@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import OrderedDict
+from random import Random
 from types import SimpleNamespace
 from typing import Any, cast
 from unittest.mock import AsyncMock, MagicMock, call
@@ -296,28 +297,49 @@ async def test_a_place_outside_the_envelope_is_refused(rig: Rig, client: Client)
     assert rig.speed < 0.3
 
 
-async def test_a_goal_that_the_envelope_would_end_moves_nothing(rig: Rig, client: Client) -> None:
-    """The seconds that a goal flies before the leg outside are flown for nothing."""
+IMPOSSIBLE = {
+    "height": (math.nan, math.inf, -math.inf, -1.0, 50.1, 1e9, 3e38),
+    "latitude": (math.nan, math.inf, -89.5, 1e9, 1e300),
+    "longitude": (math.nan, -math.inf, 180.5, 1e9, 1e300),
+    "speed": (math.nan, math.inf, -1.0, 10.1, 1e9),
+    "wait": (math.nan, math.inf, -1.0, 601.0, 1e9),
+}
+"""Numbers that no goal flies, by the field: none, of nowhere, or outside the default envelope."""
+
+
+@pytest.mark.parametrize("seed", range(2))
+async def test_a_goal_with_a_number_that_cannot_be_flown_moves_nothing(
+    rig: Rig, client: Client, seed: int
+) -> None:
+    """Nor does what precedes it: a take-off, or the legs before the wrong one."""
+    draw = Random(seed)
     assert (await client.call("~/obtain_control"))["success"]
 
-    async def reason(name: str, **goal: Any) -> str:
+    async def refuse(name: str, **goal: Any) -> None:
         sent = await client.send(name, **goal)
-        assert sent is not None
-        status, why = await client.result(name, sent)
-        assert status is GoalStatus.ABORTED
-        return why
+        if sent is not None:  # else it is in the log
+            status, why = await client.result(name, sent)
+            assert (status, "what to do" in why) == (GoalStatus.ABORTED, True), (seed, goal)
 
-    for height in (1e9, 3e38, 50.1):
-        why = await reason("~/take_off", height=height)
-        assert "what to do" in why
-        assert not rig.motors_on
+    for height in IMPOSSIBLE["height"]:
+        await refuse("~/take_off", height=height)
+        assert not rig.motors_on, (seed, height)
     assert (await client.call("~/takeoff"))["success"]
     await rig.until(lambda: rig.height > 1.0 and not rig.client.state.task)
-    near = client.place(20.0, 0.0) | {"height": 4.0, "wait": 0.0}
-    for far in ({"height": 400.0}, client.place(5000.0, 0.0)):
-        why = await reason("~/fly_mission", waypoints=[near, near | far], speed=3.0)
-        assert "what to do" in why
-        assert rig.speed < 0.3
+    await rig.until(lambda: rig.speed < 0.05)
+    places = [client.place(20.0, 10.0 * n) | {"height": 4.0, "wait": 0.0} for n in range(3)]
+    far = client.place(5000.0, 0.0)
+    for _ in range(30):
+        field = draw.choice([*IMPOSSIBLE])
+        wrong = {field: draw.choice(IMPOSSIBLE[field])} if draw.random() < 0.9 else far
+        legs, speed = list(places), wrong.pop("speed", 3.0)
+        legs[draw.randrange(3)] = legs[0] | wrong
+        if draw.random() < 0.5:
+            await refuse("~/fly_mission", waypoints=legs, speed=speed)
+        elif "wait" not in wrong:
+            await refuse("~/fly_to", **places[0] | wrong, speed=speed)
+        assert abs(rig.height - 1.2) < 0.2, (seed, wrong)
+        assert rig.speed < 0.05, (seed, wrong)
 
 
 async def test_a_goal_that_nobody_knows(rig: Rig, client: Client) -> None:
