@@ -60,7 +60,8 @@ def rates_by_item(rates_hz: Mapping[str, int]) -> dict[str, tuple[Item, int]]:
                 remedy=f"items: {', '.join(dict.fromkeys(snake(item.record) for item in ITEMS))}",
             )
         if item in (other for other, _ in found.values()):
-            raise UsageError(f"two rates were given for one item: {name} is {item.name}")
+            seen = f"two rates were given for one item: {name} is {item.name}"
+            raise UsageError(seen, remedy="give one")
         if isinstance(rate, bool) or rate not in RATES_HZ:
             raise UsageError(
                 f"{name} cannot be sent at {rate} Hz",

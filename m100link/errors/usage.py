@@ -53,6 +53,14 @@ class NoRouter(
     """No zenoh router answered; nothing was sent."""
 
 
+def unread(name: object, error: OSError) -> UsageError:
+    """The error of a file that cannot be read. ``name``: its path, or words with it."""
+    remedy = "check the path, and who may read it"
+    if isinstance(error, IsADirectoryError):
+        remedy = "check the path: name a file in that folder"
+    return UsageError(f"{name} cannot be read: {error.strerror or error}", remedy=remedy)
+
+
 def of_another_loop(name: str = "aircraft.link.loop") -> UsageError:
     """The error of a call outside the event loop in which the connection was made."""
     return UsageError(

@@ -21,6 +21,7 @@ from zlib import crc32
 
 from m100link.errors import UsageError
 from m100link.errors.texts import read_path
+from m100link.errors.usage import unread
 from m100link.wire.cipher import Key
 
 _logger = logging.getLogger(__name__)
@@ -134,17 +135,16 @@ def _read(path: Path, what: str) -> bytes:
             mode = stat.S_IMODE(os.fstat(file.fileno()).st_mode)
             data = read_watched(file, place, MAX_SECRET_SIZE + 1)
     except OSError as error:
-        raise UsageError(
-            f"the {what} file {path} cannot be read: {error.strerror}",
-            remedy="check the path, and who may read it",
-        ) from error
+        raise unread(f"the {what} file {path}", error) from error
     if mode & 0o077:
         raise UsageError(
             f"the {what} file {path} can be read by others (mode {mode:o})",
             remedy=f"chmod 600 {path}",
         )
     if len(data) > MAX_SECRET_SIZE:
-        raise UsageError(f"{path} has more than {MAX_SECRET_SIZE} bytes: that is not a {what} file")
+        raise UsageError(
+            f"{path} has more than {MAX_SECRET_SIZE} bytes", remedy=f"name the {what} file"
+        )
     return data
 
 
@@ -152,4 +152,6 @@ def _text(data: bytes, path: Path, what: str) -> str:
     try:
         return data.decode("ascii")
     except UnicodeDecodeError as error:
-        raise UsageError(f"the {what} file {path} cannot be read: it is not ASCII text") from error
+        raise UsageError(
+            f"the {what} file {path} is not ASCII text", remedy=f"name the {what} file"
+        ) from error

@@ -93,7 +93,10 @@ class Flights:
         try:
             # In real time, as the disk: the event loop's may be virtual.
             if not await asyncio.to_thread(is_made.wait, DISK_S):
-                raise UsageError(f"{self.folder}: the disk does not answer within {DISK_S:g} s")
+                raise UsageError(
+                    f"{self.folder}: the disk does not answer within {DISK_S:g} s",
+                    remedy="name a folder of another disk",
+                )
             return await asyncio.shield(making)
         except (asyncio.CancelledError, M100Error, OSError) as error:
             making.add_done_callback(self._abandon)

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 from m100link.errors import LinkClosed, OnlyRecorded, ReplayEnded, UsageError
+from m100link.errors.usage import unread
 from m100link.link import Direction, Tap
 from m100link.link.link import Link
 from m100link.log.channels import EVENT
@@ -81,7 +82,7 @@ async def begin_of(
             return await asyncio.to_thread(_begin_of, flight, is_moved, firmware)
         return _begin_of(flight, is_moved, firmware)
     except OSError as error:
-        raise UsageError(f"{flight.path} cannot be read: {error.strerror}") from error
+        raise unread(flight.path, error) from error
 
 
 def _begin_of(flight: FlightLog, is_moved: bool, firmware: FirmwareProfile | None) -> Begin:

@@ -18,6 +18,7 @@ from typing import IO, Any, NamedTuple
 
 from m100link.errors import UsageError
 from m100link.errors.texts import read_json, read_path
+from m100link.errors.usage import unread
 from m100link.link import Direction
 from m100link.log.channels import CHUNKS, EVENT, LINK, RX, SCHEMAS, TX, is_telemetry
 from m100link.log.damage import Damage, Losses
@@ -443,7 +444,7 @@ def read(path: str | os.PathLike[str], *, acceleration: str | None = None) -> Fl
         with place.open("rb") as stream:
             is_mcap = stream.read(len(MAGIC)) == MAGIC or holds_parts(stream)
     except OSError as error:
-        raise UsageError(f"{place} cannot be read: {error.strerror}") from error
+        raise unread(place, error) from error
     if not is_mcap:
         raise UsageError(
             f"{place} is not a flight log",

@@ -263,7 +263,10 @@ def share(flight: FlightLog, stream: IO[bytes], *, firmware: str | None = None) 
                     batch.chunks.append((Direction.RECEIVED, frame, at))
         log.write(batch)
     if not log.finish():
-        raise UsageError(f"{flight.path} has nothing that a copy may have; nothing was written")
+        raise UsageError(
+            f"{flight.path} has nothing that a copy may have; nothing was written",
+            remedy="name the log of a flight with telemetry",
+        )
     cleaner.removed["sent bytes, and received ones that are no telemetry: all"] += 1
     return dict(cleaner.removed)
 

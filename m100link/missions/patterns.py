@@ -81,7 +81,7 @@ def _check(
         raise UsageError(f"{len(polygon)} corners make no polygon", remedy="3 or more")
     numbers = [*(value for corner in polygon for value in corner), height]
     if not all(map(math.isfinite, numbers)):
-        raise UsageError("a corner of the polygon, or the height, is not a finite number")
+        raise UsageError("a corner or the height is not finite", remedy="give numbers of metres")
     if not 0 < spacing < math.inf:
         raise UsageError(f"lines cannot be {spacing:g} m apart", remedy="more than 0")
     if not math.isfinite(angle_deg):

@@ -15,6 +15,7 @@ from m100link.missions.waypoint import AtEnd, GimbalPitch, Heading, TakePhoto, T
 _MOST_POINTS = 10_000  # more are a mistake in the units
 
 _DOWN = -90.0
+_DEGREES = "degrees north, -90 to 90, and degrees east, -180 to 180"
 
 _AROUND = 24  # waypoints of an orbit without photographs: within 1 % of the circle
 
@@ -92,7 +93,7 @@ def survey(
         corners = [frame.to_local(*corner) for corner in area]
         origin = (0.0, 0.0) if start is None else frame.to_local(*start)
     except ValueError as error:
-        raise UsageError(f"a corner is not a place: {error}") from None
+        raise UsageError(f"a corner is not a place: {error}", remedy=_DEGREES) from None
     ends = lines_over(corners, spacing=spacing, height=height, angle_deg=angle_deg, start=origin)
     way = [point[:2] for point in ends]
     if photo_every is not None:
@@ -149,7 +150,7 @@ def orbit(
         frame = LocalFrame(*centre)
         north, east = (1.0, 0.0) if start is None else frame.to_local(*start)
     except ValueError as error:
-        raise UsageError(f"the centre is not a place: {error}") from None
+        raise UsageError(f"the centre is not a place: {error}", remedy=_DEGREES) from None
     # Corners of a regular polygon, further apart than neighbours have to be.
     most = math.floor(math.pi / math.asin(0.51 * NEAREST_M / radius))
     wanted = _AROUND if photo_every is None else max(3, math.ceil(math.tau * radius / photo_every))

@@ -28,12 +28,14 @@ from typing import Any, get_type_hints
 
 from m100link.errors import M100Error, UsageError
 from m100link.errors.texts import read_json, read_toml
+from m100link.errors.usage import unread
 from m100link.sim.line import LineFaults
 from m100link.sim.ports.driver import stop_listening
 from m100link.sim.virtual import VirtualAircraft
 
 _ON = {"on": True, "yes": True, "true": True, "1": True}
 _OFF = {"off": False, "no": False, "false": False, "0": False}
+_LIST = "`m100link sim ctl` lists the orders with their arguments"
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +54,7 @@ def _switch(words: list[str]) -> bool:
         return True
     answers = _ON | _OFF
     if words[0].lower() not in answers:
-        raise UsageError(f"{words[0]!r} is neither on nor off")
+        raise UsageError(f"{words[0]!r} is neither on nor off", remedy="say on or off")
     return answers[words[0].lower()]
 
 
@@ -60,9 +62,9 @@ def _number(words: list[str], index: int = 0) -> float:
     try:
         return float(words[index])
     except IndexError:
-        raise UsageError("a number is missing") from None
+        raise UsageError("a number is missing", remedy=_LIST) from None
     except ValueError:
-        raise UsageError(f"{words[index]!r} is not a number") from None
+        raise UsageError(f"{words[index]!r} is not a number", remedy=_LIST) from None
 
 
 def _numbers(named: dict[str, str]) -> dict[str, float]:
@@ -72,13 +74,16 @@ def _numbers(named: dict[str, str]) -> dict[str, float]:
 def _rc_mode(aircraft: VirtualAircraft, words: list[str], _: dict[str, str]) -> None:
     mode = words[0].upper() if words else ""
     if mode not in ("P", "A", "F"):
-        raise UsageError("the mode switch has the positions P, A and F")
+        raise UsageError(f"the mode switch has no position {mode!r}", remedy="P, A or F")
     aircraft.set_rc_mode(mode)
 
 
 def _app_takes(aircraft: VirtualAircraft, _: list[str], __: dict[str, str]) -> None:
     if not aircraft.app_takes_control():
-        raise UsageError("the app cannot take control: not connected, or the switch is not in F")
+        raise UsageError(
+            "the app cannot take control: it is not connected, or the switch is not in F",
+            remedy="app, then rc-mode F",
+        )
 
 
 _FAULTS: dict[str, Any] = get_type_hints(LineFaults)
@@ -91,7 +96,9 @@ def _faults(aircraft: VirtualAircraft, words: list[str], named: dict[str, str]) 
         field = name.replace("-", "_")
         kind = _FAULTS.get(field)
         if kind is None or (name in words and kind is not bool):
-            raise UsageError(f"no fault is called {name!r}: {', '.join(sorted(_FAULTS))}")
+            raise UsageError(
+                f"no fault is called {name!r}", remedy=f"faults: {', '.join(sorted(_FAULTS))}"
+            )
         if kind is bool:
             changes[field] = _switch([value])
         else:
@@ -124,12 +131,12 @@ def _mission(aircraft: VirtualAircraft, words: list[str], _: dict[str, str]) -> 
     if not words:
         return
     if words[0] not in acts:
-        raise UsageError(f"a mission can be stopped, paused and resumed, not {words[0]!r}")
+        raise UsageError(f"a mission cannot be given {words[0]!r}", remedy="stop, pause or resume")
     if missions.running is None:
-        raise UsageError("no mission runs")
+        raise UsageError("no mission runs", remedy="start one first")
     code = acts[words[0]](type(missions.running))
     if code:
-        raise UsageError(f"mission {words[0]}: {code.meaning}")
+        raise UsageError(f"mission {words[0]}: {code.meaning}", remedy="look at it: status")
 
 
 def _battery(aircraft: VirtualAircraft, words: list[str], _: dict[str, str]) -> None:
@@ -143,7 +150,10 @@ def _gps(aircraft: VirtualAircraft, words: list[str], _: dict[str, str]) -> None
 def _stick(aircraft: VirtualAircraft, _: list[str], named: dict[str, str]) -> None:
     unknown = set(named) - {"roll", "pitch", "yaw", "throttle"}
     if unknown or not named:
-        raise UsageError("sticks are roll, pitch, yaw and throttle: stick pitch=0.5")
+        raise UsageError(
+            f"{', '.join(sorted(unknown)) or 'nothing'} is no stick",
+            remedy="roll, pitch, yaw, throttle: stick pitch=0.5",
+        )
     aircraft.move_stick(**_numbers(named))
 
 
@@ -218,7 +228,7 @@ def perform(aircraft: VirtualAircraft, order: str | list[str]) -> Action:
     """
     words = shlex.split(order) if isinstance(order, str) else list(order)
     if not words:
-        raise UsageError("an order needs a word")
+        raise UsageError("an order needs a word", remedy=_LIST)
     action = ACTIONS.get(words[0])
     if action is None:
         raise UsageError(
@@ -337,9 +347,9 @@ class Scenario:
         try:
             content = read_toml(Path(path).read_bytes())
         except OSError as error:
-            raise UsageError(f"{path}: {error.strerror}") from error
+            raise unread(path, error) from error
         except ValueError as error:
-            raise UsageError(f"{path} is not TOML: {error}") from error
+            raise UsageError(f"{path} is not TOML: {error}", remedy="mend that line") from error
         steps = content.get("step", [])
         if not isinstance(steps, list) or set(content) - {"step"}:
             raise UsageError(
@@ -382,7 +392,7 @@ class Scenario:
 
 def _time(value: Any, name: str, place: str) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value < math.inf:
-        raise UsageError(f"{place}: {name!r} is seconds, not {value!r}")
+        raise UsageError(f"{place}: {name!r} is {value!r}", remedy="a number of seconds from 0")
     return float(value)
 
 
@@ -390,20 +400,21 @@ def _read_step(table: Any, place: str) -> list[ScenarioStep]:
     keys = set(table) if isinstance(table, dict) else set()
     if keys not in ({"at", "do"}, {"when", "do"}, {"when", "after", "do"}):
         raise UsageError(
-            f"{place}: a step has 'do' (an order or a list), and 'at' (seconds since power-on) or "
-            "'when' (\"waypoint 3\") with 'after' (seconds) if that is not at once"
+            f"{place}: the keys are {', '.join(sorted(keys)) or 'missing'}",
+            remedy="'do' (an order or a list), and 'at' (seconds since power-on) or "
+            "'when' (\"waypoint 3\") with 'after' (seconds) if that is not at once",
         )
     name = "at" if "at" in keys else "after"
     at, waypoint = _time(table.get(name, 0.0), name, place), None
     if "when" in keys:
         words = str(table["when"]).split()
         if len(words) != 2 or words[0] != _EVENT or not _WAYPOINT.fullmatch(words[1]):
-            raise UsageError(f"{place}: 'when' is \"waypoint 3\", not {table['when']!r}")
+            raise UsageError(f"{place}: 'when' is {table['when']!r}", remedy='when = "waypoint 3"')
         waypoint = int(words[1])
     orders = table["do"]
     orders = [orders] if isinstance(orders, str) else orders
     if not isinstance(orders, list) or not all(isinstance(order, str) for order in orders):
-        raise UsageError(f"{place}: 'do' is an order or a list of orders")
+        raise UsageError(f"{place}: 'do' is {orders!r}", remedy="an order or a list of orders")
     for order in orders:
         words = order.split()
         if not words or words[0] not in ACTIONS:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import errno
 import pickle
 import re
@@ -11,7 +12,7 @@ import pytest
 
 from m100link import AckTimeout, BadPlan, CommandRefused, M100Error, OutOfResources, UsageError
 from m100link.errors.base import of_the_system
-from m100link.errors.usage import renamed
+from m100link.errors.usage import renamed, unread
 from tests.test_house import PACKAGE
 
 
@@ -101,3 +102,43 @@ def test_a_name_of_before_warns_where_it_is_used() -> None:
     assert [one.filename for one in told] == [__file__]
     with pytest.raises(AttributeError, match="no attribute 'Never'"):
         look("Never")
+
+
+_OF_THE_CLI = (
+    *("aircraft/rates.py", "apps/bus", "apps/cli", "apps/fleet/logs", "apps/fleet/revocations.py"),
+    *("apps/mavlink/bridge.py", "apps/station/config.py", "link", "log", "missions", "sim"),
+)
+"""Files and folders whose errors a command prints."""
+
+
+def test_each_error_that_a_command_prints_has_a_remedy() -> None:
+    """Passed on as it came is the answer of a simulator: it has the remedy in its text."""
+    without = []
+    for path in sorted(PACKAGE.rglob("*.py")):
+        name = path.relative_to(PACKAGE).as_posix()
+        if not any(name == part or name.startswith(f"{part}/") for part in _OF_THE_CLI):
+            continue
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            if not (isinstance(node, ast.Call) and ast.unparse(node.func) == "UsageError"):
+                continue
+            is_passed_on = "answer.get" in ast.unparse(node)
+            if not is_passed_on and "remedy" not in {one.arg for one in node.keywords}:
+                without.append(f"{name}:{node.lineno}")
+    assert without == []
+
+
+@pytest.mark.parametrize(
+    ("error", "remedy"),
+    [
+        (FileNotFoundError(errno.ENOENT, "No such file or directory"), "check the path"),
+        (PermissionError(errno.EACCES, "Permission denied"), "who may read it"),
+        (IsADirectoryError(errno.EISDIR, "Is a directory"), "name a file in that folder"),
+    ],
+    ids=lambda one: type(one).__name__,
+)
+def test_the_error_of_an_unread_file_names_it_its_reason_and_a_remedy(
+    error: OSError, remedy: str
+) -> None:
+    made = unread("flight.mcap", error)
+    assert made.seen == f"flight.mcap cannot be read: {error.strerror}"
+    assert remedy in made.remedy

@@ -452,12 +452,16 @@ def _config(opening: Opening) -> zenoh.Config:
     try:
         config = zenoh.Config.from_file(path) if path else zenoh.Config()
     except (zenoh.ZError, OSError) as error:
-        raise UsageError(f"{told_by}: {path} cannot be read: {error}") from error
+        raise UsageError(
+            f"{told_by}: {path} cannot be read: {error}", remedy="name a JSON5 file of zenoh"
+        ) from error
     for name, value in opening.options.items():
         try:
             config.insert_json5(name, value)
         except zenoh.ZError as error:
-            raise UsageError(f"{name}={value} cannot be in a session: {error}") from error
+            raise UsageError(
+                f"{name}={value} cannot be in a session: {error}", remedy="take it out, or mend it"
+            ) from error
     return config
 
 

@@ -132,7 +132,9 @@ def read_configuration(path: Path | None = None) -> Configuration:
         return Configuration(path=path)
     except (OSError, ValueError) as error:
         why = error.strerror if isinstance(error, OSError) else str(error)
-        raise UsageError(f"{shown(path)} cannot be read: {why}") from error
+        raise UsageError(
+            f"{shown(path)} cannot be read: {why}", remedy="mend it, or let your account read it"
+        ) from error
     if mode & stat.S_IWOTH:
         raise UsageError(
             f"{shown(path)} can be written by everybody (mode {mode:o})",
@@ -282,7 +284,9 @@ def check_name(path: Path, name: str) -> None:
 def _table(path: Path, where: str, table: Any, known: Iterable[str] | None) -> dict[str, Any]:
     """A table of the file with its keys known and its numbers possible, as settings."""
     if not isinstance(table, dict):
-        raise UsageError(f"{shown(path)}: {where} is a table: [{where}{'.NAME' * (known is None)}]")
+        raise UsageError(
+            f"{shown(path)}: {where} is no table", remedy=f"[{where}{'.NAME' * (known is None)}]"
+        )
     if known is None:
         return table
     _check_keys(path, where, table, known)

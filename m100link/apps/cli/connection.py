@@ -568,7 +568,9 @@ def _write_report(path: Path, described: dict[str, Any]) -> None:
     try:
         path.write_text(json_text.dumps(finite(content), indent=2, default=str) + "\n", "utf-8")
     except OSError as error:
-        raise UsageError(f"{path} cannot be written: {error.strerror}") from error
+        raise UsageError(
+            f"{path} cannot be written: {error.strerror}", remedy="name another file"
+        ) from error
 
 
 def ports(*, json: AsJson = None) -> int:

@@ -104,7 +104,10 @@ def shared(site: str, name: str, proof: tuple[int, str]) -> Iterator[None]:
         with os.fdopen(handle, "w", encoding="ascii") as file:
             file.write(text)
     except OSError as error:
-        raise UsageError(f"{path}: {error.strerror or error}") from error
+        raise UsageError(
+            f"{path} cannot be written: {error.strerror or error}",
+            remedy="make room there, and let your account write its folder",
+        ) from error
     try:
         yield
     finally:

@@ -112,7 +112,7 @@ def _ask(what: str, question: str) -> None:
     if not sys.stdin.isatty():
         raise UsageError(f"no terminal to ask whether {what}", remedy="--yes")
     if input(f"{question} [y/N] ").lower() not in ("y", "yes"):
-        raise UsageError("nothing was begun")
+        raise UsageError("nothing was begun", remedy="answer y, or give --yes")
 
 
 class _Show:

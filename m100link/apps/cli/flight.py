@@ -258,7 +258,7 @@ async def confirm(aircraft: Aircraft, what: str) -> None:
     err.print(f"{aircraft.link.name}: firmware {aircraft.firmware}")
     err.print(f"Clear of people? Really {what}? \\[y/N] ", end="")
     if (await read_line()).lower() not in ("y", "yes"):
-        raise UsageError(f"{what} was not confirmed")
+        raise UsageError(f"{what} was not confirmed", remedy="answer y, or give --yes")
 
 
 def _tell(progress: TaskProgress) -> None:
@@ -306,7 +306,10 @@ async def gimbal(
     named = {"yaw": yaw, "pitch": pitch, "roll": roll}
     angles = {axis: angle for axis, angle in named.items() if angle is not None}
     if rates and (relative or not angles):
-        raise UsageError("--rates goes with --yaw, --pitch or --roll, and not with --relative")
+        raise UsageError(
+            "--rates has no axis, or --relative beside it",
+            remedy="give --yaw, --pitch or --roll, without --relative",
+        )
     if rates:  # refuse before a port is opened
         rates_command(**angles, seconds=seconds)
     elif angles:
@@ -440,7 +443,7 @@ def _pairs(words: Sequence[str]) -> dict[str, int]:
                 remedy=f"ITEM=HZ, such as attitude=50; rates: {', '.join(map(str, RATES_HZ))}",
             )
         if name in found:
-            raise UsageError(f"two rates were given for {name}")
+            raise UsageError(f"two rates were given for {name}", remedy="give one")
         found[name] = int(rate)
     if found:  # refuse before a port is opened
         rates_by_item(found)

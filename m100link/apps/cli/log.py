@@ -374,7 +374,10 @@ async def record(
         if recorder.path.exists():  # where nothing was heard, nothing is left
             err.print(f"{recorder.path}: {recorder.path.stat().st_size:,} bytes")
     if recorder.failure is not None:
-        raise UsageError(f"recording ended early: {recorder.failure}")
+        raise UsageError(
+            f"recording ended early: {recorder.failure}",
+            remedy="make room, or name another folder with -o",
+        )
     if lost is not None:
         raise lost
 

@@ -382,7 +382,10 @@ def _check_other(name: str, settings: Settings, found: dict[str, Settings]) -> N
             )
         is_same = settings.url is not None and settings.url == one.url
         if is_same and not str(settings.url).startswith("replay://"):
-            raise UsageError(f"{other} and {name} are at the same place: {settings.url}")
+            raise UsageError(
+                f"{other} and {name} are at the same place: {settings.url}",
+                remedy="give each aircraft a line of its own",
+            )
 
 
 Urls = Annotated[

@@ -118,7 +118,7 @@ class RegisteredAppOptions:
     def secret(self) -> Key:
         """The key. Raises UsageError, BadKey."""
         if self.key is not None and self.key_file is not None:
-            raise UsageError("give --key or --key-file, not both")
+            raise UsageError("--key and --key-file exclude each other", remedy="give one of them")
         if self.key_file is not None:
             return read_key(self.key_file)
         return DEMO_KEY if self.key is None else Key(self.key)
@@ -202,9 +202,9 @@ def run(
     if seed is None:
         seed = secrets.randbits(32)
     if assistant.count < 1:
-        raise UsageError(f"{assistant.count} aircraft cannot be run")
+        raise UsageError(f"{assistant.count} aircraft cannot be run", remedy="--count 1, or more")
     if not 0.0 < speed <= 1000.0:
-        raise UsageError(f"speed is above 0 and at most 1000, not {speed:g}")
+        raise UsageError(f"the speed is {speed:g}", remedy="above 0 and at most 1000")
     options: dict[str, Any] = {
         "firmware": firmware,
         "app_id": registered.app_id,
@@ -229,7 +229,7 @@ def run(
     except UsageError:
         raise
     except ValueError as error:
-        raise UsageError(str(error)) from error
+        raise UsageError(str(error), remedy="m100link sim --help has the values") from error
     as_json = wants_json(json_output)
     address = None if assistant.tcp is None else _read_address(assistant.tcp)
     plan = _Plan(aircraft, assistant.link, address, scenario, duration, as_json, seed)
@@ -297,7 +297,10 @@ async def _open_ports(plan: _Plan, drivers: list[Driver], servers: list[TcpServe
             try:
                 server = await serve_tcp(driver, host, number + index if number else 0)
             except OSError as error:
-                raise UsageError(f"cannot listen on {host}:{number}: {error.strerror}") from error
+                raise UsageError(
+                    f"cannot listen on {host}:{number}: {error.strerror}",
+                    remedy="name an address of this machine and a free port, or port 0",
+                ) from error
             servers.append(server)
             names.append(f"tcp://{host}:{server.port}")
         ports.append(names[0])

@@ -214,7 +214,9 @@ def _read_bag(path: Path) -> FlightRecording:
                 hear(recording, at, bag.deserialize(data, one.msgtype))
     except errors as error:
         raise UsageError(
-            f"{path} cannot be read: {error}", cause="it is no bag of ROS 1, or it is damaged"
+            f"{path} cannot be read: {error}",
+            cause="it is no bag of ROS 1, or it is damaged",
+            remedy="name a bag of ROS 1 or a flight log; `rosbag reindex` may mend a bag",
         ) from error
     return recording
 

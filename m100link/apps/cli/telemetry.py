@@ -32,6 +32,7 @@ from m100link.apps.cli.display import Items, items_named, line_plot, row
 from m100link.apps.cli.options import Above0, AsJson, AtMost, Counted, Duration, offered
 from m100link.apps.cli.terminal import ExitCode, print_json, wants_json
 from m100link.errors import UsageError
+from m100link.errors.usage import unread
 from m100link.protocol.items import BY_RECORD
 from m100link.protocol.records import (
     Acceleration,
@@ -83,7 +84,7 @@ async def echo(
         csv: Print CSV with a header line, as --table does.
     """
     if csv and json:
-        raise UsageError("--csv and --json exclude each other")
+        raise UsageError("--csv and --json exclude each other", remedy="give one of them")
     csv = csv or json is False
     place, names = link.place_among([url or "", *items], _is_item)
     records = items_named(names)
@@ -288,13 +289,12 @@ def _plot_file(path: Path, fields: tuple[str, ...]) -> int:
                     if values.get(field):
                         points[field].append((float(values["received_at"]), float(values[field])))
     except OSError as error:
-        raise UsageError(
-            f"{path} cannot be read: {error.strerror}", remedy="check its name, and who may read it"
-        ) from error
+        raise unread(path, error) from error
     except (KeyError, ValueError) as error:
         raise UsageError(
             f"{path} cannot be plotted, line {lines}: {error}",
             cause="`m100link echo --csv` did not write it, or the column has no numbers",
+            remedy="name a file of `m100link echo --csv`, and a column of numbers",
         ) from error
     _draw(points)
     return ExitCode.OK if any(points.values()) else ExitCode.FAILED

@@ -25,6 +25,7 @@ from m100link.apps.fleet.identity import LARGEST, BadRevoked, Revoked, Rights
 from m100link.apps.fleet.keys import Keys, session_in
 from m100link.apps.fleet.payloads import VERSION, OrderReply, body, pack
 from m100link.errors import M100Error, OutcomeUnknown, UsageError
+from m100link.errors.usage import unread
 from m100link.link.keyfile import replace_file
 
 AUTHORITY = "ca.pem"
@@ -85,7 +86,9 @@ class Revocations:
                 remedy="name the folder with it and with your certificate",
             ) from error
         except ValueError as error:
-            raise UsageError(f"{place} has no certificate") from error
+            raise UsageError(
+                f"{place} has no certificate", remedy="copy it anew from the authority's folder"
+            ) from error
         found = cls(authority, folder / LIST, rights, apart=apart)
         found.read()
         return found
@@ -146,7 +149,7 @@ class Revocations:
         except FileNotFoundError:
             return None  # nobody was ever revoked
         except OSError as error:
-            raise UsageError(f"{self._path} cannot be read: {error.strerror}") from error
+            raise unread(self._path, error) from error
 
     async def look(self) -> bool:
         """As :meth:`read`, beside the loop: a disk may stand still."""

@@ -162,7 +162,10 @@ class Seal:
                 remedy=f"m100link fleet pki issue agent {name}",
             ) from error
         if not isinstance(key, ec.EllipticCurvePrivateKey):
-            raise UsageError(f"{folder / name}.key is no key of this program")
+            raise UsageError(
+                f"{folder / name}.key is no key of this program",
+                remedy=f"m100link fleet pki issue agent {name}",
+            )
         return cls(key, certificate)
 
     def seal(self, key: str, payload: bytes, question: Question | None = None) -> bytes:

@@ -15,6 +15,7 @@ from xml.parsers import expat
 from m100link.apps.station.web.access_control import Access, AccessControl, is_loopback
 from m100link.errors import UsageError
 from m100link.errors.texts import read_path, read_toml
+from m100link.errors.usage import unread
 from m100link.link.keyfile import read_key, read_token, read_watched
 from m100link.protocol.commands.activation import Credentials
 
@@ -201,9 +202,15 @@ class Settings:
                 )
             return None
         if len(token) < _MIN_TOKEN or not token.isascii() or not token.isprintable():
-            raise UsageError(f"a token is at least {_MIN_TOKEN} printable ASCII characters")
+            raise UsageError(
+                f"the token is shorter than {_MIN_TOKEN} characters, or not printable ASCII",
+                remedy=f"take a long random text, for example {secrets.token_urlsafe(16)}",
+            )
         if set(token) & set(' ";,\\%&+#='):
-            raise UsageError('a token has none of the characters space " ; , \\ % & + # =')
+            raise UsageError(
+                'the token has a space or one of " ; , \\ % & + # =',
+                remedy="take letters, digits, - and _",
+            )
         return token
 
     def niceness(self) -> int:
@@ -395,11 +402,9 @@ def _read_toml(path: Path) -> Mapping[str, Any]:
         with read_path(path).open("rb") as file:
             table = read_toml(read_watched(file, path))
     except OSError as error:
-        raise UsageError(
-            f"{path} cannot be read: {error.strerror}", remedy="check the path and its permissions"
-        ) from error
+        raise unread(path, error) from error
     except ValueError as error:
-        raise UsageError(f"{path} cannot be read: {error}") from error
+        raise UsageError(f"{path} is not TOML: {error}", remedy="mend that line") from error
     table = table.get("station", table)
     if not isinstance(table, dict):
         raise UsageError(f"{path}: station is not a table", remedy="[station] on a line of its own")
@@ -484,12 +489,9 @@ def read_launch(path: Path) -> tuple[dict[str, str], list[str]]:
     try:
         text = read_path(path).read_bytes()
     except OSError as error:
-        raise UsageError(
-            f"the launch file cannot be read: {path}: {error.strerror}",
-            remedy="check the path and its permissions",
-        ) from error
+        raise unread(f"the launch file {path}", error) from error
     if len(text) > _MAX_SIZE:
-        raise UsageError(f"{path} has {len(text)} bytes: that is not a launch file")
+        raise UsageError(f"{path} has {len(text)} bytes", remedy="name a launch file")
     found = _parameters(text, path)
     used = {
         LAUNCH_NAMES[name]: _known(LAUNCH_NAMES[name], value, path)
@@ -510,6 +512,7 @@ def _parameters(text: bytes, path: Path) -> dict[str, str]:
         raise UsageError(
             f"{path} has a document type or entities",
             cause="launch files have none; files made to harm a reader do",
+            remedy="remove both from the file",
         )
 
     parser = expat.ParserCreate()

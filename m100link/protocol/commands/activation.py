@@ -64,11 +64,16 @@ class Credentials:
     ) -> None:
         for name, number in (("app_id", app_id), ("app_version", app_version)):
             if not 0 <= number < 1 << 32:
-                raise UsageError(f"{name} {number} does not fit into 32 bits")
+                raise UsageError(
+                    f"{name} {number} does not fit into 32 bits", remedy="0 to 4294967295"
+                )
         if level not in (0, 1, 2):
             raise UsageError(f"level {level} does not exist", remedy="levels are 0, 1 and 2")
         if not bundle_id.isascii() or len(bundle_id) > BUNDLE_ID_SIZE:
-            raise UsageError(f"a bundle id is at most {BUNDLE_ID_SIZE} ASCII characters")
+            raise UsageError(
+                f"the bundle id has {len(bundle_id)} characters, or some that are not ASCII",
+                remedy=f"at most {BUNDLE_ID_SIZE} ASCII characters",
+            )
         object.__setattr__(self, "app_id", app_id)
         object.__setattr__(self, "key", Key(key))
         object.__setattr__(self, "level", level)

@@ -149,7 +149,7 @@ def test_a_home_folder_is_meant_by_its_sign(
         ("[aircraft.COM3]\nurl = 'sim://'", "cannot be called 'COM3'"),
         ("[aircraft.position]\nurl = 'sim://'", "a telemetry item is"),
         ("[station]\nprot = 1", "did you mean port?"),
-        ("station = 1", "station is a table"),
+        ("station = 1", "station is no table"),
     ],
 )
 def test_what_cannot_be_is_refused_with_its_place(

@@ -110,7 +110,7 @@ def test_settings_are_shown_with_their_origin(tmp_path: Path) -> None:
         (("ros2", "sim://", "--node", "a b"), "cannot be part of a name in ROS"),
         (("ros2", "sim://", "--domain", "300"), "there is no domain 300"),
         (("serve", "--sim", "--host", "0.0.0.0"), "there is no token"),
-        (("serve", "--sim", "--launch", "/none.launch"), "launch file cannot be read"),
+        (("serve", "--sim", "--launch", "/none.launch"), "/none.launch cannot be read"),
         (("serve", "--sim", "--pages", "/none"), "is not a folder"),
         (("serve", "--sim", "--pages", "x" * 300), "is not a folder"),
         (("serve", "--sim", "--port", "99999"), "there is no port 99999"),

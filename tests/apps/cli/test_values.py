@@ -585,7 +585,7 @@ async def test_each_simulated_aircraft_has_a_port(
 def test_a_clock_that_cannot_be_is_refused(cli: CommandLine, speed: float) -> None:
     outcome = cli("sim", "--speed", f"{speed:g}")
     assert outcome.status == ExitCode.USAGE
-    assert f"speed is above 0 and at most 1000, not {speed:g}" in outcome.err
+    assert f"the speed is {speed:g}\n  what to do:   above 0 and at most 1000" in outcome.err
 
 
 def test_the_screen_of_a_simulator_has_degrees_metres_and_signs() -> None:

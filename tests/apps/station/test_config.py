@@ -171,7 +171,7 @@ def test_what_an_aircraft_has_of_its_own_comes_last_and_its_url_is_that_of_the_n
         ("key = 5", "key cannot be its value"),
         ("colour = 'red'", "no setting 'colour'"),
         ("origins = {}", "no setting 'origins'"),
-        ("x = [", "cannot be read"),
+        ("x = [", "is not TOML"),
     ],
 )
 def test_toml_errors_name_the_file_and_the_setting(tmp_path: Path, text: str, says: str) -> None:
@@ -200,7 +200,7 @@ OUTSIDE = """<!DOCTYPE launch [<!ENTITY x SYSTEM "file:///etc/passwd">]>
         ('<launch><param name="app_id" value="<!-- your appid -->"/></launch>', "own values"),
         ('<launch><param name="app_id" value="$(arg id)"/></launch>', "only roslaunch"),
         ('<launch><param name="app_id" value="ten"/></launch>', "app_id cannot be 'ten'"),
-        ("<launch>" + " " * 300_000 + "</launch>", "not a launch file"),
+        ("<launch>" + " " * 300_000 + "</launch>", "name a launch file"),
     ],
 )
 def test_launch_files_made_to_harm_or_not_filled_in(tmp_path: Path, text: str, says: str) -> None:

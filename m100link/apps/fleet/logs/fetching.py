@@ -84,6 +84,7 @@ class LogFetcher:
             raise UsageError(
                 f"{self._keys.name} has no logs",
                 cause="its agent records nothing (--no-record), or no aircraft was connected yet",
+                remedy="start the agent without --no-record, and connect its aircraft",
             )
         found = next((one for one in entries if log in ("", one.log)), None)
         if found is None:

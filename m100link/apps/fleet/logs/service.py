@@ -71,7 +71,7 @@ class LogService:
         apart: OwnThreads | None = None,  # where the disk is waited for
     ) -> None:
         if not rate > 0.0:
-            raise UsageError(f"logs cannot leave at {rate:g} bytes a second")
+            raise UsageError(f"logs cannot leave at {rate:g} bytes/s", remedy="more than 0")
         self._bus, self._keys, self._verify = bus, keys, verify
         self._directory = LogDirectory(folder)
         self._rate = rate

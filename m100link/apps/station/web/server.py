@@ -88,7 +88,7 @@ class RosbridgeServer:
         ]
         if pages is not None:
             if not os.path.isdir(pages):
-                raise UsageError(f"{pages} is not a folder")
+                raise UsageError(f"{pages} is not a folder", remedy="name the folder of the pages")
             routes.append(Mount("/", PublicFiles(directory=pages, html=True)))
         else:
             routes.append(Route("/", self._greet))
