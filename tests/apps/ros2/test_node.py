@@ -412,6 +412,7 @@ def test_after_a_second_without_a_step_what_comes_for_0_3_s_is_old(
     pause: float, deaf_until: float
 ) -> None:
     parts = Mock()
+    parts.ends.refusal = ""
     node = bare(
         agent=SimpleNamespace(now=30.0 + pause),
         ran_at=30.0,

@@ -409,23 +409,28 @@ async def test_its_attitude_is_a_quaternion_from_north(rig: Rig, ground: Ground)
     assert ground.last(ATTITUDE)["failure_flags"] == 2  # AT_PITCH_LIMIT
 
 
+AIMS: list[tuple[float, float, int, tuple[float | None, str, float | None]]] = [
+    (-45.0, 0.0, 0, (-45.0, "nose", 0.0)),  # no flag: follow, in the frame of the nose
+    (20.0, 90.0, 0, (20.0, "nose", 90.0)),
+    (-45.0, 90.0, LOCK, (-45.0, "north", 90.0)),  # lock, in the frame of north
+    (-45.0, -90.0, ROLL_LOCK | PITCH_LOCK | LOCK, (-45.0, "north", -90.0)),
+    (10.0, 30.0, OF_NOSE, (10.0, "nose", 30.0)),
+    (10.0, 30.0, LOCK | OF_NORTH, (10.0, "north", 30.0)),
+    (10.0, 30.0, LOCK | OF_NOSE, (10.0, "nose", 30.0)),  # then it stays with north
+    (10.0, 30.0, OF_NORTH, (10.0, "north", 30.0)),  # then it goes with the nose
+    (-90.0, NAN, 0, (-90.0, "nose", None)),
+    (NAN, 45.0, LOCK, (None, "north", 45.0)),
+    (NAN, NAN, NEUTRAL, (0.0, "nose", 0.0)),
+]
+
+
 @pytest.mark.parametrize(
-    ("pitch", "yaw", "flags", "expected"),
+    ("pitch", "yaw", "flags", "expected", "way"),
     [
-        (-45.0, 0.0, 0, (-45.0, "nose", 0.0)),  # no flag: follow, in the frame of the nose
-        (20.0, 90.0, 0, (20.0, "nose", 90.0)),
-        (-45.0, 90.0, LOCK, (-45.0, "north", 90.0)),  # lock, in the frame of north
-        (-45.0, -90.0, ROLL_LOCK | PITCH_LOCK | LOCK, (-45.0, "north", -90.0)),
-        (10.0, 30.0, OF_NOSE, (10.0, "nose", 30.0)),
-        (10.0, 30.0, LOCK | OF_NORTH, (10.0, "north", 30.0)),
-        (10.0, 30.0, LOCK | OF_NOSE, (10.0, "nose", 30.0)),  # then it stays with north
-        (10.0, 30.0, OF_NORTH, (10.0, "north", 30.0)),  # then it goes with the nose
-        (-90.0, NAN, 0, (-90.0, "nose", None)),
-        (NAN, 45.0, LOCK, (None, "north", 45.0)),
-        (NAN, NAN, NEUTRAL, (0.0, "nose", 0.0)),
+        *((*aim, "long") for aim in AIMS),
+        *((*aim, way) for aim in AIMS[1::3] for way in ("int", "message")),
     ],
 )
-@pytest.mark.parametrize("way", ["long", "int", "message"])
 async def test_pitch_is_positive_up_and_yaw_clockwise_in_the_frame_of_the_flags(
     rig: Rig,
     ground: Ground,
