@@ -129,7 +129,7 @@ class State:
     firmware: str = ""  #: firmware profile in use; empty when not connected
     is_activated: bool = False  #: whether the aircraft is active and its key in use
     activation_code: int | None = None  #: last answer to an activation
-    activation_fault: RemoteError | None = None  #: why the last activation failed
+    activation_fault: RemoteError | None = None  #: why the last activation failed, or each will
     #: State of control authority, a :class:`~m100link.apps.agent.server.authority.HoldingState`.
     holding: str = "none"
     has_authority: bool = False  #: whether setpoints and tasks are obeyed

@@ -68,7 +68,7 @@ def _table(names: list[str], cards: dict[str, Card]) -> Table:
             table.add_row(name, "no answer")
             continue
         if card.fault is not None and not card.boot:
-            table.add_row(name, f"{card.connection}: {card.fault.seen}")
+            table.add_row(name, _link(card))
             continue
         height = "" if card.height_m is None else f"{card.height_m:z.1f} m"
         battery = "" if card.battery_percent is None else f"{card.battery_percent} %"
@@ -79,12 +79,13 @@ def _table(names: list[str], cards: dict[str, Card]) -> Table:
 
 
 def _link(card: Card) -> str:
-    """The state of the link, and a calendar by which a signed order would be refused."""
+    """The state of the link, and what would refuse an order: credentials, or the calendar."""
+    said = card.connection if card.fault is None else f"{card.connection}: {card.fault.seen}"
     ahead = card.at - time.time()
-    if abs(ahead) <= WINDOW_S:
-        return card.connection
+    if abs(ahead) <= WINDOW_S or not card.boot:
+        return said
     side = "ahead of" if ahead > 0 else "behind"
-    return f"{card.connection}; clock {abs(ahead):.0f} s {side} this one"
+    return f"{said}; clock {abs(ahead):.0f} s {side} this one"
 
 
 # -- what they are asked --------------------------------------------------------------------------

@@ -245,7 +245,7 @@ class FleetAgent:
             boot=self.boot,
             at=self._utc(),
             connection="lost" if view.hearing is Hearing.SILENT else state.connection,
-            fault=state.connection_fault,
+            fault=state.connection_fault or state.activation_fault,
             firmware=state.firmware,
             holder=view.holder.name,
             fence=view.holder.number,

@@ -370,7 +370,7 @@ class Card:
     boot: str  #: which run of its agent this is
     at: float  #: when, POSIX time, s
     connection: str = "connecting"  #: ``"connecting"``, ``"connected"`` or ``"lost"``
-    fault: RemoteError | None = None  #: why it is not connected
+    fault: RemoteError | None = None  #: why it is not connected, or cannot be activated
     firmware: str = ""  #: firmware profile; empty when not connected
     holder: str = ""  #: name of the operator who has the lease; empty without one
     fence: int = 0  #: number of the lease; 0 for none

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import time
+
 import pytest
 
 pytest.importorskip("cyclopts")
 pytest.importorskip("zenoh")
 
+from m100link.apps.agent.messages import RemoteError
 from m100link.apps.cli.fleet_verbs import _link, app
 from m100link.apps.fleet.payloads import Card
 
@@ -31,3 +34,9 @@ def test_the_list_names_a_clock_by_which_a_signed_order_would_be_refused(
 ) -> None:
     monkeypatch.setattr("time.time", lambda: 1.8e9)
     assert _link(Card("a1", "boot", 1.8e9 + ahead, "connected")) == said
+
+
+@pytest.mark.parametrize("connection", ["connected", "lost"])
+def test_the_list_says_what_would_refuse_the_first_order(connection: str) -> None:
+    card = Card("a1", "boot", time.time(), connection, fault=RemoteError("M100-X", "no key"))
+    assert _link(card) == f"{connection}: no key"

@@ -65,7 +65,7 @@ class OnBoard:
             self.agent = await stack.enter_async_context(
                 Agent(
                     plugged_in,
-                    credentials=self.aircraft.credentials,
+                    credentials=options.pop("credentials", self.aircraft.credentials),
                     leases_before=self.order_log.leases_before,
                 )
             )

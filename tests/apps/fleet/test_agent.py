@@ -677,3 +677,15 @@ async def test_behind_a_stop_a_fleet_does_what_every_front_does(
     if not kind.is_kept:  # a landing
         is_overtaken = reply.fault is not None and "STOP was pressed after" in reply.fault.seen
     assert is_overtaken is (kind.after_stop is not orders.AfterStop.DONE), reply
+
+
+async def test_a_card_says_before_the_first_order_that_there_are_no_credentials(rig: Rig) -> None:
+    await rig.aircraft("a1", credentials=None)
+    await rig.aircraft("a2")
+    cards = await (await rig.pilot()).cards()
+    assert [card.connection for card in cards.values()] == ["connected", "connected"]
+    fault = cards["a1"].fault
+    assert fault is not None
+    assert fault.error().seen == "this station has no app id and key"
+    assert "--app-id" in (fault.error().remedy or "")
+    assert cards["a2"].fault is None

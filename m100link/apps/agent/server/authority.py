@@ -443,6 +443,11 @@ class OrphanedAuthority:
 # -- the activation of the aircraft for one app, and how the last one went -------------------------
 
 
+def _no_key() -> errors.UsageError:
+    remedy = "start it with --app-id and --key-file"
+    return errors.UsageError("this station has no app id and key", remedy=remedy)
+
+
 class ActivationManager:
     """Activates the aircraft; without credentials it can only be watched."""
 
@@ -451,8 +456,8 @@ class ActivationManager:
         self._journal = journal
         # Last answer to an activation, None before the first.
         self.code: ActivationCode | None = None
-        # Why the last one failed, with remedy; None when it did not.
-        self.error: errors.M100Error | None = None
+        # Why the last one failed, or each will, with remedy; None when it did not.
+        self.error: errors.M100Error | None = None if credentials is not None else _no_key()
         # Called with each answer to an activation.
         self.on_code: list[Callable[[ActivationCode], None]] = []
 
@@ -463,9 +468,7 @@ class ActivationManager:
 
     async def activate(self, aircraft: Aircraft) -> Version:
         if self._credentials is None:
-            raise errors.UsageError(
-                "this station has no app id and key", remedy="start it with --app-id and --key-file"
-            )
+            raise _no_key()
         self._journal.note("activating")
         try:
             version = await aircraft.activate(self._credentials, progress=self._progress)
