@@ -54,8 +54,9 @@ class Odometry(NamedTuple):
     gps_health: int | None = None
 
     def __str__(self) -> str:
-        said = ("{:+.1f} m north", "{:+.1f} m east", "{:.1f} m high", "{:+.1f} m/s north",
-                "{:+.1f} m/s east", "{:+.1f} m/s up", "battery {} %", "GPS health {}")  # fmt: skip
+        said = ("{:+z.1f} m north", "{:+z.1f} m east", "{:z.1f} m high", "{:+z.1f} m/s north",
+                "{:+z.1f} m/s east", "{:+z.1f} m/s up", "battery {} %",
+                "GPS health {}")  # fmt: skip
         known = zip(said, self, strict=True)
         return ", ".join(text.format(value) for text, value in known if value is not None)
 

@@ -149,7 +149,8 @@ class Moment(NamedTuple):
         at_s: When it was first sent, s after the beginning of the log.
         command: Its name.
         arguments: The arguments of the request, by name.
-        outcome: Name of the code it was answered with; None: no answer is in the log.
+        outcome: Name of the code it was answered with, or that it asks for no answer; None: no
+            answer is in the log.
         after_s: Until the answer came, s; None without one.
     """
 
@@ -407,7 +408,8 @@ class _CommandReader:
                 return  # the same once more
             self._open[exchange] = len(self._story.commands), at
             arguments = {key: value for key, value in content.items() if key not in _HEAD | _ASIDE}
-            self._story.commands.append(Moment(at, name, arguments, None, None))
+            outcome = None if exchange[0] else "asks for no answer"
+            self._story.commands.append(Moment(at, name, arguments, outcome, None))
 
     def _count_stream(self, at: float, name: str) -> None:
         stream = self._streams.get(name)

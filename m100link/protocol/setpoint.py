@@ -471,7 +471,9 @@ class ReceivedMove(NamedTuple):
             "yaw" if turn is Yaw.ANGLE else "yaw rate",
         )
         said = zip(self[1:5], limits, names, strict=True)
-        return ", ".join(f"{value + 0.0:g} {limit.unit} {name}" for value, limit, name in said)
+        return ", ".join(
+            f"{round(value, 3) + 0.0:g} {limit.unit} {name}" for value, limit, name in said
+        )
 
     def limited(self, profile: FirmwareProfile) -> Setpoint:
         """The nearest setpoint: tilt, velocities, thrust and yaw rate end at their limits.

@@ -163,8 +163,8 @@ def test_only_what_this_side_asks_and_hears_is_a_command_and_its_answer(tmp_path
     heard[0][2]["session"] = heard[1][2]["session"] = 0  # no ack: each is one of its own
     found = told(tmp_path, *heard)
     assert [(one.at_s, str(one), one.after_s) for one in found.commands] == [
-        (0.0, "arm on=True: no answer", None),
-        (1.0, "arm on=True: no answer", None),
+        (0.0, "arm on=True: asks for no answer", None),
+        (1.0, "arm on=True: asks for no answer", None),
         (3.5, "land height=3.5: STARTED", 0.25),
         (4.0, "go: too short", 2.5),
         (7.0, "go: no answer", None),

@@ -455,4 +455,5 @@ def test_a_movement_in_words_has_unit_and_frame(
 ) -> None:
     move = ReceivedMove(ControlMode(*mode), 1.0, -2.0, 3.0, 4.0, ReferenceFrame(frame))
     assert move.in_words() == said
-    assert move._replace(x=-0.0).in_words().startswith("0 ")
+    assert move._replace(x=-3.3e-5, y=0.05571).in_words().startswith("0 ")
+    assert ", 0.056 " in move._replace(y=0.05571).in_words()

@@ -443,10 +443,12 @@ def report_file(file: Log, /, *, firmware: AsFlown = None, json: Json = False) -
     In brackets is what the aircraft did then, by its telemetry: place from the take-off point,
     height above it, velocity over ground, battery, GPS.
 
-    Names of clients are in logs of `serve`, `console`, `mavlink`, `ros2` and fleets.
+    Names of clients are in logs of `serve`, `console`, `mavlink`, `ros2` and fleets. The last line
+    has the quality of the line.
     """
     with reading(file, passes=4) as flight:
-        said = report(flight, read_story(flight, firmware=firmware), firmware=firmware)
+        story = read_story(flight, firmware=firmware)
+        said = report(flight, story, firmware=firmware)
     shown_at = -1.0
     for one in said:
         if json:
@@ -456,6 +458,8 @@ def report_file(file: Log, /, *, firmware: AsFlown = None, json: Json = False) -
         shown_at = one.at_s if flown else shown_at
         text = f"{one.at_s:9.2f} s  {one.text}" + (f"\n{'':13}[{flown}]" if flown else "")
         out.print(text, markup=False, soft_wrap=True, highlight=False)
+    if not json:
+        out.print(f"line: {line_quality(story)}", markup=False, soft_wrap=True)
     return status(flight)
 
 

@@ -52,7 +52,10 @@ def test_a_log_is_recorded_and_reported(cli: CommandLine, flight: Path) -> None:
     [phase] = [one["text"] for one in told if one["kind"] == "flight"]
     assert phase.endswith("in phase ground.")
     assert "  The connection ended: " in cli("log", "report", str(flight)).out
-    assert "line: 0.0 % of frames lost; 0 frames damaged" in cli("log", "info", str(flight)).out
+    assert "[+0.0 m north, +0.0 m east, 0.0 m high, " in cli("log", "report", str(flight)).out
+    for verb in ("info", "report"):
+        said = cli("log", verb, str(flight)).out
+        assert "line: 0.0 % of frames lost; 0 frames damaged" in said
     text = cli("log", "info", str(flight)).out
     assert "firmware 1.0" in text
     assert "recover" not in text
