@@ -483,9 +483,11 @@ def share_file(file: Log, /, *, output: Output = None, firmware: AsFlown = None)
     target = output or file.with_stem(f"{file.stem}-shared")
     with reading(file, passes=4) as flight, new_file(target) as stream:
         removed = share(flight, stream, firmware=firmware)
-    for what, count in sorted(removed.items()):
+    out.print("removed, or changed as it says:")
+    streams = "bytes sent, and those received but telemetry", "all"
+    for what, count in [*sorted(removed.items()), streams]:
         out.print(f"  {count:>8}  {what}", markup=False)
-    out.print(f"copy without them in {target}", soft_wrap=True)
+    out.print(f"the copy is {target}", markup=False, soft_wrap=True)
     return status(flight)
 
 
