@@ -17,7 +17,7 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -92,16 +92,18 @@ def tls_options(folder: Path, name: str, *, listens: bool = False) -> dict[str, 
 
 
 def _warn_of_end(certificate: Path, name: str) -> None:
-    """A router that refuses it does not say why."""
+    """A router that refuses it does not say why, and a program may run for days."""
     try:
         ends = x509.load_pem_x509_certificate(certificate.read_bytes()).not_valid_after_utc
     except (OSError, ValueError):
         return  # zenoh says so
-    if ends < datetime.now(UTC):
+    left = ends - datetime.now(UTC)
+    if left < timedelta(days=3):
         _logger.warning(
-            "the certificate of %s expired on %s: no router behind tls/ lets it in; renew it by "
-            "m100link fleet pki issue … %s --force",
+            "the certificate of %s expire%s on %s: no router behind tls/ lets it in then; renew it "
+            "by m100link fleet pki issue … %s --force",
             name,
+            "s" if left > timedelta() else "d",
             f"{ends:%Y-%m-%d}",
             name,
         )

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import uuid
 from dataclasses import replace
+from datetime import UTC as ZULU
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import anyio
@@ -24,6 +26,7 @@ from m100link.apps.fleet.payloads import (
     pack,
     unpack,
 )
+from m100link.apps.fleet.pki import Kind, init, issue
 from m100link.apps.fleet.signing import read_signer, signing, tls_options, verifying
 from m100link.errors import NotAllowed, UsageError
 from tests.apps.fleet.conftest import SITE, UTC, Rig
@@ -236,3 +239,19 @@ async def test_the_right_to_watch_allows_to_fetch_logs_and_nothing_else_does(rig
     for other, aircraft in ((ANNA, "a2"), (EVE, "a1"), (None, "a1")):
         with pytest.raises(NotAllowed):
             verify(question(other, aircraft), "")
+
+
+@pytest.mark.parametrize(
+    ("left_days", "said"), [(-1.0, "expired on"), (2.9, "expires on"), (3.1, "")]
+)
+def test_a_certificate_that_ends_soon_is_named_before_it_lets_nobody_in(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, left_days: float, said: str
+) -> None:
+    """A router that refuses it gives no reason, and an agent may run for days."""
+    made = datetime.now(ZULU) - timedelta(days=30.0 - left_days)
+    init(tmp_path, now=made)
+    issue(tmp_path, Kind.AGENT, "a1", now=made)
+    tls_options(tmp_path, "a1")
+    assert said in caplog.text
+    assert (f"the certificate of a1 {said}" in caplog.text) is bool(said)
+    assert ("fleet pki issue … a1 --force" in caplog.text) is bool(said)
