@@ -205,10 +205,15 @@ def test_qgroundcontrols_order_is_answered(firmware: str) -> None:
         assert "done" in run("pymavlink_station.py", "ground_station", found.address)
 
 
+def of_the_manual() -> list[str]:
+    """The programs of the page: offboard, and the lines for camera and gimbal."""
+    page = (HERE.parents[2] / "docs/howto/fly-by-mavlink.md").read_text("utf-8")
+    return re.findall(r"^```python\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
+
+
 @needs_pymavlink
 def test_the_program_of_the_manual_flies_offboard(tmp_path: Path) -> None:
-    page = (HERE.parents[2] / "docs/howto/fly-by-mavlink.md").read_text("utf-8")
-    [program] = re.findall(r"^```python\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
+    program, _ = of_the_manual()
     assert ":14540" in program
     with site("1.0") as found:
         place = tmp_path / "offboard.py"
@@ -216,6 +221,19 @@ def test_the_program_of_the_manual_flies_offboard(tmp_path: Path) -> None:
         assert "take off is done" in run(str(place))
         found.until(lambda: found.truth()["flight_status"] == "standby")
         assert found.truth()["north"] == pytest.approx(4.0, abs=1.0)
+
+
+@needs_pymavlink
+def test_the_lines_of_the_manual_for_camera_and_gimbal_are_accepted(tmp_path: Path) -> None:
+    offboard, lines = of_the_manual()
+    answers = "for _ in range(4):\n    print(line.recv_match(type='COMMAND_ACK', blocking=True))\n"
+    program = offboard.partition("\nstream(")[0] + "\n" + lines + answers
+    with site("3.1") as found:
+        place = tmp_path / "camera.py"
+        place.write_text(program.replace(":14540", f":{found.port}"), "utf-8")
+        said = run(str(place))
+    for number in (2000, 2500, 1000, 195):
+        assert f"command : {number}, result : 0," in said
 
 
 @needs_pymavlink
