@@ -26,7 +26,7 @@ ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 
-FLY = "python3 -m venv .venv && .venv/bin/pip install '.[cli]' && .venv/bin/m100link demo"
+FLY = "python3 -m venv .venv && .venv/bin/pip install '.[cli,log]' && .venv/bin/m100link demo"
 TEST = "python3 -m venv .venv && .venv/bin/pip install nox && .venv/bin/nox"
 
 
