@@ -291,7 +291,7 @@ class Requests:
                 f"firmware {self.firmware} does not know {command.NAME}; nothing was sent",
                 command=command.NAME,
                 cause=f"the command came with firmware {command.SINCE}",
-                remedy="use an aircraft with later firmware",
+                remedy="use an aircraft with later firmware, or sim://?firmware=3.1",
             )
 
     async def _answers_plain(self) -> bool:

@@ -328,7 +328,7 @@ def picture(story: FlightSummary, *, width_px: int = 1400) -> bytes:
     except ModuleNotFoundError:
         raise UsageError(
             "a picture needs matplotlib, which is not installed",
-            remedy="pip install '.[analysis]' in a clone of m100link, or -o flight.html",
+            remedy="pip install '.[analysis]' in a clone of m100link, or a page: -o flight.html",
         ) from None
     drawn = panels(story)
     figure = figures.Figure(figsize=(14, 9), layout="constrained", dpi=width_px / 14)
