@@ -95,7 +95,9 @@ def load_object(text: str | bytes) -> dict[str, Any]:
     except ValueError as error:
         raise BadPlan(f"the file is not JSON: {error}", remedy=_GIVE_A_PLAN) from None
     if not isinstance(value, dict):
-        raise BadPlan(f"the file is JSON, but {_named(value)} and not an object")
+        raise BadPlan(
+            f"the file is JSON, but {_named(value)} and not an object", remedy=_GIVE_A_PLAN
+        )
     return value
 
 

@@ -121,7 +121,9 @@ class Rights:
         try:
             text = data.decode()
         except UnicodeDecodeError as error:
-            raise BadRights(f"{path} is not text: {error.reason}") from error
+            raise BadRights(
+                f"{path} is not text: {error.reason}", remedy="name the file of rights"
+            ) from error
         return cls.parse(text)
 
     @classmethod
@@ -134,7 +136,9 @@ class Rights:
         try:
             found = read_toml(text)
         except ValueError as error:
-            raise BadRights(f"the file of rights is not TOML: {error}") from error
+            raise BadRights(
+                f"the file of rights is not TOML: {error}", remedy="mend that line"
+            ) from error
         _refuse_unknown(found, ("site", "aircraft", "identity"), "the file")
         site = found.get("site", "site")
         _require(NAME, site, "site")
@@ -350,7 +354,7 @@ class Signer:
 
     def __init__(self, name: str, key: bytes) -> None:
         if len(key) != 32:
-            raise UsageError(f"a signing key has 32 bytes, not {len(key)}")
+            raise UsageError(f"the signing key has {len(key)} bytes", remedy="32 bytes")
         self.name = name
         self._key = Ed25519PrivateKey.from_private_bytes(key)
 
@@ -366,7 +370,7 @@ class Signer:
             UsageError: It names another signer.
         """
         if order.signer != self.name:
-            raise UsageError(f"{self.name} cannot sign for {order.signer}")
+            raise UsageError(f"{self.name} cannot sign for {order.signer}", remedy="take its key")
         return self._key.sign(order.signed())
 
 

@@ -41,6 +41,10 @@ _EARLY = timedelta(minutes=5)
 _CA = "ca"
 
 
+_COPY = "copy both files anew from your backup"
+_ELSEWHERE = "name a folder that your account may write"
+
+
 class BadAuthority(
     UsageError,
     code="M100-BAD-AUTHORITY",
@@ -92,7 +96,9 @@ def init(folder: Path, *, now: datetime, force: bool = False) -> Issued:
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     except OSError as error:
-        raise BadAuthority(f"{folder} cannot be made: {error.strerror}") from error
+        raise BadAuthority(
+            f"{folder} cannot be made: {error.strerror}", remedy=_ELSEWHERE
+        ) from error
     made = Issued(folder / AUTHORITY, folder / f"{_CA}.key", ends)
     files = {made.key: _pem_of(key), made.certificate: _pem(certificate)}
     if force and (folder / LIST).exists():  # keys that sign outlive certificates
@@ -206,7 +212,9 @@ def listed(folder: Path) -> list[tuple[str, datetime, str]]:
         try:
             ends = x509.load_pem_x509_certificate(place.read_bytes()).not_valid_after_utc
         except (OSError, ValueError) as error:
-            raise BadAuthority(f"{place} has no certificate") from error
+            raise BadAuthority(
+                f"{place} has no certificate", remedy=f"take it out of {folder}"
+            ) from error
         found[place.stem] = ends
     return [(name, ends, revoked.get(name, "")) for name, ends in found.items()]
 
@@ -278,12 +286,14 @@ def _authority(folder: Path, now: datetime) -> tuple[x509.Certificate, ec.Ellipt
             remedy=f"m100link fleet pki init {folder}",
         ) from error
     except (ValueError, TypeError) as error:
-        raise BadAuthority(f"the files of the authority in {folder} are damaged") from error
+        raise BadAuthority(
+            f"the files of the authority in {folder} are damaged", remedy=_COPY
+        ) from error
     if (
         not isinstance(key, ec.EllipticCurvePrivateKey)
         or key.public_key() != certificate.public_key()
     ):
-        raise BadAuthority(f"{_CA}.key in {folder} does not belong to {_CA}.pem")
+        raise BadAuthority(f"{_CA}.key in {folder} does not belong to {_CA}.pem", remedy=_COPY)
     if now >= certificate.not_valid_after_utc:
         raise BadAuthority(
             f"the authority in {folder} expired on {certificate.not_valid_after_utc:%Y-%m-%d}",
@@ -314,7 +324,9 @@ def _write(files: dict[Path, bytes], *, force: bool) -> None:
             # Nobody else can read it at any moment, and no reader sees a part of it.
             replace_file(path, data)
         except OSError as error:
-            raise BadAuthority(f"{path} cannot be written: {error.strerror}") from error
+            raise BadAuthority(
+                f"{path} cannot be written: {error.strerror}", remedy=_ELSEWHERE
+            ) from error
 
 
 # -- rules for a router of zenoh, made of the file of rights; what somebody may do, in words -------

@@ -121,6 +121,7 @@ class PtyPort:
             raise PortFailed(
                 f"the link {link} cannot be made: {error.strerror}",
                 cause="a directory that does not exist, or no right to write there",
+                remedy="name a file in a folder that you may write",
             ) from error
 
     def _remove_link(self) -> None:
