@@ -144,7 +144,8 @@ def test_orders_from_another_shell(start: Any) -> None:
     assert json.loads(answer.stdout)["rc_mode"] == "P"
     wrong = simulator.ctl("rc-mode", "X")
     assert wrong.returncode == 2
-    assert "positions P, A and F" in wrong.stderr
+    assert "the mode switch has no position 'X'\n  what to do:   P, A or F\n" in wrong.stderr
+    assert wrong.stderr.count("what to do") == 1
     assert "rc-mode P|A|F" in simulator.ctl().stdout
 
 
