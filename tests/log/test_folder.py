@@ -242,9 +242,8 @@ async def test_a_disk_that_stands_still_keeps_nobody_from_flying(
         aircraft = await by_url("sim://", flights=flights)()
         await aircraft.aclose()
     assert tries == [1], "one thread is enough to wait for it"
-    assert told.all == [
-        ("warning", f"not recorded: {tmp_path}: the disk does not answer within 0.01 s")
-    ]
+    text = f"{tmp_path}: the disk does not answer within 0.01 s (name a folder of another disk)"
+    assert told.all == [("warning", f"not recorded: {text}")]
     goes_on.set()
     monkeypatch.undo()
     assert flights._making is not None
