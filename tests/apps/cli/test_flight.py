@@ -149,7 +149,7 @@ def test_rates_are_shown_and_set(cli: CommandLine) -> None:
     ("arguments", "status", "words"),
     [
         (("gimbal", SIM, "--pitch", "45"), ExitCode.USAGE, "pitch 45"),
-        (("gimbal", SIM, "--rates"), ExitCode.USAGE, "--rates goes with"),
+        (("gimbal", SIM, "--rates"), ExitCode.USAGE, "--rates has no axis"),
         (("gimbal", "sim://", "--pitch", "-45"), ExitCode.REFUSED, "firmware 1.0 does not know"),
         (("camera", SIM), ExitCode.USAGE, "photo, start-video, stop-video"),
         (("camera", SIM, "explode"), ExitCode.USAGE, "no action 'explode'"),
