@@ -273,9 +273,9 @@ class _NoteReader:
         )
         what += f" ({said})" if said else ""
         if stage == "failed":
-            return who, f"{who} did not get {what}: {note['seen']}."
-        ends = {"asked": "asked for {}", "accepted": "began {}", "done": "got {}"}
-        return who, f"{who} {ends[stage].format(what)}."
+            return who, f"{who}'s order failed: {what}: {note['seen']}."
+        ends = {"asked": " ordered", "accepted": "'s order began:", "done": "'s order ended:"}
+        return who, f"{who}{ends[stage]} {what}."
 
     def _setpoints(self, note: dict[str, Any]) -> tuple[str, str]:
         who = note["by"] or note["client"]

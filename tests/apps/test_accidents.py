@@ -307,7 +307,7 @@ class FenceHit(Staged):
         truth.cause()
         truth.last_order = self.name, "hover"
         truth.ended_by = "outside of the fence"
-        truth.asked.append(f"{self.name} got hover .*outside of the fence")
+        truth.asked.append(f"{self.name}'s order ended: hover .*outside of the fence")
 
 
 class BatteryLow(Staged):
@@ -325,7 +325,7 @@ class BatteryLow(Staged):
         front.let_go()
         tab = front.page.tab
         front.spawn(tab.attempt(lambda: tab.session.ask(orders.GoHome())))
-        truth.asked.append(f"{self.name} asked for go home")
+        truth.asked.append(f"{self.name} ordered go home")
 
 
 class Stopped(Staged):
@@ -470,7 +470,7 @@ class Investigator:
     def last_order(self) -> tuple[str, str]:
         """Of whom, and which, at the moment of the accident or before."""
         before = [one for one in self.of("order") if one["at_s"] <= self.at_s + 0.05]
-        found = re.search(r"(asked for|got|began) (.+?)( \(|\.$)", before[-1]["text"])
+        found = re.search(r"(ordered|order began:|order ended:) (.+?)( \(|\.$)", before[-1]["text"])
         assert found is not None, before[-1]
         return before[-1]["who"], found[2]
 
@@ -489,7 +489,7 @@ class Investigator:
 
     def refusals(self) -> list[str]:
         """The sentences that say so, with names and reasons."""
-        is_refusal = re.compile("did not get|refused").search
+        is_refusal = re.compile("order failed|refused").search
         return [one["text"] for one in self.said if is_refusal(one["text"])]
 
     def rest(self) -> dict[str, Any] | None:
@@ -549,7 +549,8 @@ def in_words(move: Move) -> str:
     axes = ("forward", "right") if move.control_flag & 2 else ("north", "east")
     up = "m height" if move.control_flag >> 4 & 3 == 1 else "m/s up"
     turn = "°/s yaw rate" if move.control_flag & 8 else "° yaw"
-    values = [one + 0.0 for one in (move.roll_or_x, move.pitch_or_y, move.throttle_or_z, move.yaw)]
+    sent = move.roll_or_x, move.pitch_or_y, move.throttle_or_z, move.yaw
+    values = [round(one, 3) + 0.0 for one in sent]  # to a millimetre
     units = (f"m/s {axes[0]}", f"m/s {axes[1]}", up, turn)
     return ", ".join(f"{value:g} {unit}" for value, unit in zip(values, units, strict=True))
 

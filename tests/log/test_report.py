@@ -39,13 +39,13 @@ NOTES: list[tuple[str, dict[str, Any], str]] = [
     (
         "order",
         {**NAMES, "order": "fly to", "stage": "asked", "arguments": {"height": 5.0}},
-        "Anna asked for fly to (height 5.0).",
+        "Anna ordered fly to (height 5.0).",
     ),
-    ("order", {**NAMES, "order": "fly to", "stage": "done"}, "Anna got fly to."),
+    ("order", {**NAMES, "order": "fly to", "stage": "done"}, "Anna's order ended: fly to."),
     (
         "order",
         {"client": "ros", "by": "", "order": "land", "stage": "failed", "seen": "Anna flies"},
-        "ros did not get land: Anna flies.",
+        "ros's order failed: land: Anna flies.",
     ),
     (
         "setpoints",
