@@ -1,4 +1,4 @@
-"""Sockets of tabs: who may have one, and who makes room."""
+"""Sockets of tabs, and what their operators said of the place before a take-off."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ from starlette.websockets import WebSocket
 
 from m100link.apps.agent import orders
 from m100link.apps.station.console import tabs as module
-from m100link.apps.station.console.tabs import Tabs
+from m100link.apps.station.console.kept import PlotHistory
+from m100link.apps.station.console.tabs import Preferences, Tabs
 from tests.apps.station.conftest import Rig
 from tests.waiting import PATIENCE
 
@@ -202,3 +203,120 @@ def test_the_oldest_page_whose_browser_never_came_gives_way_to_a_new_one() -> No
         check=False,
     )
     assert done.returncode == 0, done.stderr
+
+
+# -- whose word for the place holds after a reload -------------------------------------------------
+
+HERE = "aircraft"
+
+
+class Screen:
+    """The words of one console, with an aircraft that stands on the ground."""
+
+    def __init__(self, rig: Rig) -> None:
+        self.rig = rig
+        self.looks = Preferences()
+        self.history = PlotHistory()
+        self.person = self.looks.person(None)
+        rig.front.background.spawn(self.history.keep(rig.front), "history")
+
+    def say(self, *, is_free: bool = True) -> None:
+        self.looks.say(self.person, HERE, self.rig.front, is_free=is_free)
+
+    def said_at(self, secret: str | None = None, aircraft: str = HERE) -> float | None:
+        """The state of a page that is loaded anew with that secret."""
+        person = self.looks.person(self.person if secret is None else secret)
+        return self.looks.said_at(person, aircraft, self.rig.front, self.history)
+
+
+@pytest.fixture
+async def screen(rig: Rig) -> Screen:
+    made = Screen(rig)
+    await anyio.sleep(1.0)
+    return made
+
+
+async def test_a_word_lasts_as_long_as_without_the_reload(
+    screen: Screen, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "FREE_FOR_S", 5.0)  # minutes of telemetry take a while
+    began = screen.rig.front.now
+    screen.say()
+    await anyio.sleep(4.0)
+    assert screen.said_at() == began  # and not from the reload on
+    await anyio.sleep(2.0)
+    assert screen.said_at() is None
+
+
+async def test_a_word_is_of_one_person_and_one_aircraft(screen: Screen) -> None:
+    screen.say()
+    await anyio.sleep(1.0)
+    assert screen.said_at("guessed") is None
+    assert screen.said_at("") is None
+    assert screen.said_at(aircraft="kite") is None
+    assert screen.said_at() is not None
+
+
+async def test_a_word_that_was_taken_back_does_not_come_again(screen: Screen) -> None:
+    screen.say()
+    screen.say(is_free=False)
+    await anyio.sleep(1.0)
+    assert screen.said_at() is None
+
+
+async def fly(rig: Rig) -> None:
+    rig.aircraft.pilot_takes_off()
+    await rig.until(lambda: rig.aircraft.height > 1.0)
+    await anyio.sleep(2.0)
+    rig.aircraft.pilot_lands()
+    await rig.until(lambda: not rig.aircraft.vehicle.flight.dynamics.motors_on)
+    await anyio.sleep(3.0)
+
+
+async def unplug(rig: Rig) -> None:
+    rig.aircraft.unplug()
+    await anyio.sleep(1.0)
+    rig.aircraft.replug()
+    await rig.until(lambda: rig.front.is_connected)
+    await anyio.sleep(1.0)
+
+
+async def fall_silent(rig: Rig) -> None:
+    rig.aircraft.stall_line()
+    await anyio.sleep(4.0)
+    rig.aircraft.stall_line(False)
+    await anyio.sleep(1.0)
+
+
+@pytest.mark.parametrize("happens", [fly, unplug, fall_silent])
+async def test_an_aircraft_that_may_be_at_another_place_has_to_be_looked_at(
+    screen: Screen, happens: Callable[[Rig], Awaitable[None]]
+) -> None:
+    screen.say()
+    await happens(screen.rig)
+    assert screen.said_at() is None
+    screen.say()
+    await anyio.sleep(1.0)
+    assert screen.said_at() is not None
+
+
+async def test_a_station_that_stood_still_saw_nothing(
+    screen: Screen, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    screen.say()
+    keep = screen.history.add
+    monkeypatch.setattr(screen.history, "add", lambda *row: None)
+    await anyio.sleep(3.0)
+    monkeypatch.setattr(screen.history, "add", keep)
+    await anyio.sleep(3.0)
+    assert screen.said_at() is None
+
+
+def test_the_oldest_persons_are_forgotten() -> None:
+    known = Preferences()
+    first = known.person(None)
+    others = [known.person(None) for _ in range(module.MOST - 1)]
+    assert known.person(first) == first  # it was there lately
+    known.person(None)
+    assert known.person(others[0]) != others[0]
+    assert known.person(first) == first
