@@ -5,6 +5,7 @@ The copy is made anew from a list of content that may be in it. Anything else st
 
 from __future__ import annotations
 
+import math
 import re
 import struct
 from collections import Counter
@@ -130,7 +131,7 @@ class _Cleaner:
         if has_fix(position):
             moved = self.moved.place(position.latitude_deg, position.longitude_deg)
             place = moved[0], moved[1]
-        radians = [one * 0.017453292519943295 for one in place]
+        radians = [math.radians(one) for one in place]
         if first != position.latitude_rad:
             radians.reverse()
         self.removed["positions, moved"] += 1
