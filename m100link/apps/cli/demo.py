@@ -352,4 +352,6 @@ def _print_summary(flight: _Flight, summary: dict[str, Any]) -> None:
     if flight.recording is not None:
         quoted = shlex.quote(flight.recording)
         out.print(f"recorded in {flight.recording}", markup=False, soft_wrap=True)
-        out.print(f"to see it again: m100link replay {quoted}", markup=False, soft_wrap=True)
+        out.print(f"to read it: m100link log report {quoted}", markup=False, soft_wrap=True)
+        text = f"to see it again, with the extra station: m100link replay {quoted}"
+        out.print(text, markup=False, soft_wrap=True)

@@ -89,6 +89,7 @@ def test_demo_says_where_its_log_is_and_how_to_see_it_again(
     assert outcome.status == 0
     [path] = folder.iterdir()
     assert f"recorded in {path}" in outcome.out
+    assert f"m100link log report '{path}'" in outcome.out
     assert f"m100link replay '{path}'" in outcome.out
     assert read(path).summary().is_whole
     outcome = cli("demo", "--side", "1", "--speed", "max", "--no-record")
