@@ -100,7 +100,7 @@ async def open_replay(
     wanted = parse_replay(url) if isinstance(url, str) else url
     flight = read(wanted.path, acceleration=acceleration)
     is_moved = holds or wanted.from_s > 0.0
-    begin = begin or await begin_of(flight, is_moved=is_moved, firmware=firmware)
+    begin = begin or await begin_of(flight, is_moved=is_moved, holds=holds, firmware=firmware)
     if wanted.from_s > begin.duration_s:
         raise UsageError(
             f"{flight.path} is {begin.duration_s:.1f} s long and cannot be played from "

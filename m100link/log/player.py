@@ -69,26 +69,34 @@ class Begin(NamedTuple):
 
 
 async def begin_of(
-    flight: FlightLog, *, is_moved: bool = True, firmware: FirmwareProfile | None = None
+    flight: FlightLog,
+    *,
+    is_moved: bool = True,  # it may be played from elsewhere than its beginning
+    holds: bool = False,  # it stands still at its end, and says nothing of the file then
+    firmware: FirmwareProfile | None = None,  # to read telemetry by, if not that of the flight
 ) -> Begin:
     """Look through a recording.
 
-    ``is_moved``: whether it may be played from elsewhere than its beginning. ``firmware``: the
-    profile to read telemetry by, if not that of the flight. Raises ``UsageError``: it holds no
-    bytes of a line, or cannot be read.
+    Raises ``UsageError``: it holds no bytes of a line, or cannot be read.
     """
     try:
         if flight.path.stat().st_size > _LARGE:
-            return await asyncio.to_thread(_begin_of, flight, is_moved, firmware)
-        return _begin_of(flight, is_moved, firmware)
+            return await asyncio.to_thread(_begin_of, flight, is_moved, holds, firmware)
+        return _begin_of(flight, is_moved, holds, firmware)
     except OSError as error:
         raise unread(flight.path, error) from error
 
 
-def _begin_of(flight: FlightLog, is_moved: bool, firmware: FirmwareProfile | None) -> Begin:
-    # Before the damage, which is then known: a large file is read through once.
-    events = tuple(flight.messages(EVENT)) if is_moved else ()
-    damage = flight.damage
+def _begin_of(
+    flight: FlightLog, is_moved: bool, holds: bool, firmware: FirmwareProfile | None
+) -> Begin:
+    indexed = flight.indexed(EVENT) if holds else None  # of two hours all takes more than a second
+    if indexed is not None:
+        events, damage = indexed
+    else:
+        # Before the damage, which is then known: a large file is read through once.
+        events = tuple(flight.messages(EVENT)) if is_moved else ()
+        damage = flight.damage
     first: Chunk | None = None
     version: Version | None = None
     asked: set[tuple[int, int]] = set()

@@ -8,6 +8,7 @@ import os
 from bisect import bisect_left, insort
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib import import_module
@@ -30,6 +31,7 @@ from m100link.log.records import (
     RawMessage,
     RecordedChannel,
     RecordedSchema,
+    by_index,
     holds_parts,
     mcap_module,
     records,
@@ -225,6 +227,22 @@ class FlightLog:
             self._damage = replace(damage, is_written=is_written)
             if self._damage or not self._damage.is_ended:
                 _logger.warning("%s: %s", self.path, self._damage)
+
+    def indexed(self, topic: str) -> tuple[tuple[Message, ...], Damage] | None:
+        """Messages of a rare topic, and when the flight began and ended, by the index of the file.
+
+        Parts without such a message are not read, so their damage is not found. None: the file has
+        no index, or one that does not fit it.
+        """
+        with self._open() as stream, suppress(Exception):  # whatever an index of chance raises
+            if (found := by_index(stream, topic)) is not None:
+                raw, whole = found
+                begin, end = whole.message_start_time / 1e9, whole.message_end_time / 1e9
+                return tuple(
+                    Message(topic, one.publish_time / 1e9, one.log_time / 1e9, one.data)
+                    for one in raw
+                ), Damage(began_utc=begin, ended_utc=end)
+        return None
 
     def _open(self) -> IO[bytes]:
         """The file; a caller that shows the progress puts its own in its place."""

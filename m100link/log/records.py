@@ -43,6 +43,8 @@ _message_head = struct.Struct("<HIQQ").unpack_from
 _MESSAGE_HEAD = 22
 _chunk_head = struct.Struct("<QQQII").unpack_from  # with the length of the name of the compression
 _CHUNK_HEAD = 32
+_footer = struct.Struct("<BQQQI").unpack_from  # with its kind and length
+_FOOTER_SIZE = 9 + 20 + len(MAGIC)  # with the end of the file behind it
 _counts = struct.Struct("<HQ").iter_unpack
 _COUNTS = 46  # where they begin in the statistics, behind their size
 _ZSTD = b"\x28\xb5\x2f\xfd"
@@ -132,6 +134,32 @@ def records(
 ) -> Iterator[Record]:
     """Every record of a file that can be read, in the order in which they were written."""
     return _Reader(stream, topics, losses).records(since_ns)
+
+
+def by_index(stream: IO[bytes], topic: str) -> tuple[list[RawMessage], Any] | None:
+    """Messages of a topic, from the parts that hold one, and the statistics of ``mcap``.
+
+    None without an index, or where it does not fit. Damaged ones raise anything.
+    """
+    summary = mcap_module("reader").make_reader(stream).get_summary()
+    size = stream.seek(0, 2)
+    reader = _Reader(stream, (topic,))
+    footer = reader._read(size - _FOOTER_SIZE, _FOOTER_SIZE)
+    _, _, begin, _, checksum = _footer(footer)
+    if summary is None or reader._checksum(begin, size - _FOOTER_SIZE + 25) != checksum:
+        return None
+    for one in summary.channels.values():
+        reader._channel(RecordedChannel(one.id, one.schema_id, one.topic, one.message_encoding))
+    counts, found = summary.statistics.channel_message_counts, []
+    parts = {one.chunk_start_offset + _HEAD.size: one for one in summary.chunk_indexes}
+    for at, part in parts.items():  # each once, however often it is named
+        if reader._wanted & part.message_index_offsets.keys():
+            body = reader._read(at, part.chunk_length - _HEAD.size)
+            inside = reader._inside(_unpacked(body))
+            found += [one for one in inside if isinstance(one, RawMessage)]
+    if len(found) != sum(counts.get(channel, 0) for channel in reader._wanted):
+        return None
+    return found, summary.statistics
 
 
 def holds_parts(stream: IO[bytes]) -> bool:

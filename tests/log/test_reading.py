@@ -7,6 +7,7 @@ import json
 import random
 import tracemalloc
 from collections import Counter
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +18,9 @@ from mcap.writer import Writer
 from m100link import Attitude, Position
 from m100link.errors import UsageError
 from m100link.log import read, recorder, recover
-from m100link.log.channels import CHUNKS, LINK, RX
-from m100link.log.reading import Message
+from m100link.log.channels import CHUNKS, EVENT, LINK, RX
+from m100link.log.damage import Damage
+from m100link.log.reading import FlightLog, Message
 from m100link.protocol.records import Battery
 from tests import known
 from tests.log.flight import URL, fly
@@ -345,3 +347,27 @@ def test_parts_that_end_before_a_time_are_passed_over(tmp_path: Path) -> None:
     assert late[-1] == 39.0
     assert 9 <= len(late) <= 14
     assert not log.damage
+
+
+def test_rare_messages_are_found_by_the_index_or_by_reading_all(tmp_path: Path) -> None:
+    """With bits turned over anywhere: what the index gives is right, or it gives nothing."""
+    notes = [(float(n), EVENT, {"event": "note", "number": n}) for n in (3, 40, 41, 90)]
+    rows = [(float(n), RX, bytes(range(n))) for n in range(100)]
+    path = made(tmp_path / "whole.mcap", *sorted([*notes, *rows], key=itemgetter(0)), part_size=200)
+    whole = path.read_bytes()
+    truth = tuple(read(path).messages(EVENT)), Damage(began_utc=UTC, ended_utc=UTC + 99.0)
+    assert read(path).indexed(EVENT) == truth
+    assert read(path).damage == truth[1]
+    assert read(path).indexed(LINK) == ((), truth[1])
+    chance, found = random.Random(SEED), 0
+    for _ in range(300):
+        damaged = bytearray(whole)
+        damaged[chance.randrange(len(whole))] ^= 1 << chance.randrange(8)
+        path.write_bytes(damaged)
+        indexed = FlightLog(path).indexed(EVENT)
+        assert indexed in (None, truth)
+        found += indexed is not None
+    assert found > 30  # parts without a note are not looked into
+    for cut in (len(whole) - 1, len(whole) // 2):  # of a process that was killed
+        path.write_bytes(whole[:cut])
+        assert read(path).indexed(EVENT) is None
