@@ -313,7 +313,7 @@ def aircraft_of(
         name = name or (url if url in named else f"m100_{place}")
         _check_other(name, settings, found)
         found[name] = settings
-    replays = [name for name, one in found.items() if (one.url or "").startswith("replay://")]
+    replays = [name for name, one in found.items() if one.is_replay]
     if replays and len(replays) < len(found):
         raise UsageError(
             f"{', '.join(replays)} would be a recorded flight beside aircraft that fly",
@@ -327,7 +327,7 @@ def _in_process(settings: Settings) -> Settings:
     """Turn ``sim://`` into an aircraft of the station. Raises BadURL: it has no transport."""
     if settings.url == "sim://":
         return replace(settings, url=None, sim=True)
-    if settings.url is not None and not settings.url.startswith("replay://"):
+    if settings.url is not None and not settings.is_replay:
         from m100link.link.transport import find_transport  # decoding a frame needs none
         from m100link.link.url import parse_url
 
@@ -381,7 +381,7 @@ def _check_other(name: str, settings: Settings, found: dict[str, Settings]) -> N
                 f"two aircraft are called {name}", remedy="name them: first=URL second=URL"
             )
         is_same = settings.url is not None and settings.url == one.url
-        if is_same and not str(settings.url).startswith("replay://"):
+        if is_same and not settings.is_replay:
             raise UsageError(
                 f"{other} and {name} are at the same place: {settings.url}",
                 remedy="give each aircraft a line of its own",

@@ -164,6 +164,11 @@ class Settings:
     origins: dict[str, str] = field(default_factory=dict)
     unused: tuple[str, ...] = ()
 
+    @property
+    def is_replay(self) -> bool:
+        """Whether the aircraft is a recorded flight."""
+        return (self.url or "").startswith("replay://")
+
     def credentials(self) -> Credentials | None:
         """The credentials for activation, or None when there is no app id.
 

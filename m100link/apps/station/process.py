@@ -13,10 +13,13 @@ while, and ends. It loads nothing that could own an aircraft.
 from __future__ import annotations
 
 import asyncio
+import json
 import os
 import sys
+from collections.abc import Sequence
 from contextlib import AsyncExitStack, suppress
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -90,10 +93,15 @@ async def _until_ended(ended: asyncio.Event, fronts: Fronts, parent_ended: async
             alone += _CHECK
 
 
-def _load(niceness: str, *fronts: str) -> None:
-    """Step back behind the process that flies, and load fronts while that one connects."""
-    os.nice(int(niceness))
+def _load(niceness: int, fronts: Sequence[str], recordings: Sequence[Sequence[str]]) -> None:
+    """Step back behind the process that flies, and load fronts while that one connects.
+
+    ``recordings``: files of a replay, and the firmware profile of each, or empty.
+    """
+    os.nice(niceness)
     with suppress(UsageError):  # the front that serves says it
+        for path, firmware in recordings:
+            import_module("m100link.apps.station.console.kept").begin_analysis(path, firmware)
         for name in fronts:
             FRONTS[name].load()
 
@@ -101,5 +109,5 @@ def _load(niceness: str, *fronts: str) -> None:
 if __name__ == "__main__":
     role, *loads = sys.argv[1:]
     if loads:
-        _load(*loads)
+        _load(*json.loads(loads[0]))
     sys.exit(run_child({"agent": _own, "fronts": _serve}[role]))

@@ -8,13 +8,14 @@ event loop, for tests and for looking into it.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Callable, Mapping
+from collections.abc import AsyncIterator, Callable, Iterable, Mapping
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
+from m100link.aircraft.replaying import parse_replay
 from m100link.apps.agent import transports
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.messages import Event
@@ -112,7 +113,7 @@ async def owning(
     flights = _flights(settings, tell)
     async with AsyncExitStack() as stack:
         replay: Replays | None = None
-        if settings.url is not None and settings.url.startswith("replay://"):
+        if settings.url is not None and settings.is_replay:
             credentials, flights = None, None
             replay = Replays(settings.url, settings.firmware)
             await replay.look()
@@ -266,16 +267,22 @@ async def _front_process(
     settings: Settings,  # of access and of services
     sockets: Sockets,
     note: Callable[[str, str], None],  # takes what happens to the process, and its level
+    aircraft: Iterable[Settings],
 ) -> ChildProcess:
     """The process of the fronts, which loads them while the agents connect."""
     descriptors = sockets.descriptors()
+    recordings = [
+        (str(parse_replay(one.url).path.absolute()), one.firmware or "")
+        for one in aircraft
+        if one.url is not None and one.is_replay and "console" in descriptors
+    ]
     front = ChildProcess(
         "fronts",
         "the fronts",
         {"settings": front_settings(settings), "sockets": descriptors},
         note,
         inherited=[number for row in descriptors.values() for number in row],
-        loads=(str(settings.niceness()), *descriptors),
+        loads=(settings.niceness(), list(descriptors), recordings),
     )
     stack.push_async_callback(front.end)
     await front.begin()
@@ -311,7 +318,7 @@ async def running_apart(
         def note(text: str, level: str) -> None:
             owner.agent.journal.note(text, level)
 
-        front = await _front_process(stack, settings, sockets, note)
+        front = await _front_process(stack, settings, sockets, note, [settings])
         owner = await stack.enter_async_context(owning(settings, virtual))
         agent_path = directory / "agent.sock"
         await stack.enter_async_context(transports.serve_unix(agent_path, owner.service.attach))
@@ -403,7 +410,7 @@ async def running_several(
             for name in agents:
                 note(name, text, level)
 
-        front = await _front_process(stack, settings, sockets, note_all)
+        front = await _front_process(stack, settings, sockets, note_all, aircraft.values())
         await stack.enter_async_context(supervised(*owners.values(), timeout=END_TIMEOUT))
         paths = {name: _path(directory, place) for place, name in enumerate(aircraft)}
         for name, path in paths.items():

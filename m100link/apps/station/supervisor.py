@@ -42,7 +42,7 @@ class ChildProcess:
         note: Callable[[str, str], None],  # takes a text and a level: what happens to it
         *,
         inherited: Sequence[int] = (),  # file descriptors that it gets
-        loads: Sequence[str] = (),  # loaded before the request comes: see `process`
+        loads: Sequence[Any] = (),  # loaded before the request comes: see `process`
     ) -> None:
         self._role = role
         self._called = called
@@ -61,9 +61,10 @@ class ChildProcess:
 
     async def begin(self) -> None:
         """Let it load what it needs, while its request is not known yet."""
+        loads = [json.dumps(self._loads)] if self._loads else []
         clean = {name: one for name, one in os.environ.items() if not name.startswith("M100LINK_")}
         self._waiting = await asyncio.create_subprocess_exec(
-            *(sys.executable, "-m", "m100link.apps.station.process", self._role, *self._loads),
+            *(sys.executable, "-m", "m100link.apps.station.process", self._role, *loads),
             stdin=asyncio.subprocess.PIPE,
             stdout=asyncio.subprocess.PIPE,
             pass_fds=self._inherited,

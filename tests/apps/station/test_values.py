@@ -16,7 +16,8 @@ from dataclasses import asdict, fields, replace
 from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
+from unittest.mock import Mock
 
 import pytest
 
@@ -305,7 +306,7 @@ async def test_the_process_of_the_fronts_of_one_aircraft(
     assert (front.role, front.called) == ("fronts", "the fronts")
     assert front.request["settings"] == run.front_settings(settings)
     assert front.request["sockets"] == {"rosbridge": [44]}
-    assert front.how == {"inherited": [44], "loads": ("5", "rosbridge")}
+    assert front.how == {"inherited": [44], "loads": (5, ["rosbridge"], [])}
     agents, orders = front.request["agents"], front.request["orders"]
     assert [Path(one).name for one in agents.values()] == ["agent.sock"]
     assert agents.keys() == {ONLY_NAME}
@@ -313,6 +314,23 @@ async def test_the_process_of_the_fronts_of_one_aircraft(
     # First of all leases end: a child that hangs must not fly on.
     assert noted.names.index("close") < noted.names.index("end of supervised")
     assert ("orders" in noted.names) is (sim and with_console)
+
+
+async def test_the_fronts_read_recordings_from_the_beginning_on(
+    noted: Noted, children: list[Child], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By file and firmware, where a page shows them, and of aircraft that fly none."""
+    aircraft = (
+        Settings(url="replay:///a/one.mcap?speed=2", firmware="3.1"),
+        Settings(url="replay:///a/two.mcap"),
+        Settings(url=URL),
+    )
+    files = [("/a/one.mcap", "3.1"), ("/a/two.mcap", "")]
+    for name, read in (("console", files), ("rosbridge", [])):
+        sockets = Mock(**{"descriptors.return_value": {name: [44]}})
+        async with AsyncExitStack() as stack:
+            front = await run._front_process(stack, Settings(), sockets, print, aircraft)
+        assert cast("Child", front).how["loads"] == (5, [name], read)
 
 
 @pytest.fixture
@@ -611,9 +629,10 @@ async def test_a_process_that_loads_before_it_is_asked_is_one_and_ends_without_a
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     machine = Machine(monkeypatch, Started, Started)
-    one = machine.child(loads=("5", "console"))
+    one = machine.child(loads=(5, ["console"], [("a flight.mcap", "")]))
     await one.begin()
-    assert machine.how[0][0][3:] == ("agent", "5", "console")
+    assert machine.how[0][0][3] == "agent"
+    assert json.loads(machine.how[0][0][4]) == [5, ["console"], [["a flight.mcap", ""]]]
     one.request["agents"] = {"left": "there"}  # known later
     await one.start()
     (begun,) = machine.begun

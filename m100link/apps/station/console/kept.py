@@ -7,6 +7,7 @@ import csv
 import io
 import math
 import pickle
+import subprocess
 import sys
 import time
 from array import array
@@ -380,10 +381,13 @@ def _outline(flight: FlightLog, interval_s: float) -> Recorded:
 
 
 _CHILD = (
-    "import gc, sys; gc.disable(); "  # it makes no circles, and walks through many tuples
+    "import gc, signal, sys; gc.disable(); "  # it makes no circles, and walks through many tuples
+    "signal.signal(signal.SIGPIPE, signal.SIG_DFL); "  # nobody waits for it any more
     "from m100link.apps.station.console.kept import analyse, send; "
     "send(analyse(*sys.argv[1:], send))"
 )
+
+_begun: dict[str, subprocess.Popen[bytes]] = {}  # by file, until somebody asks for the analysis
 
 
 def send(found: Recorded | str) -> None:
@@ -393,24 +397,34 @@ def send(found: Recorded | str) -> None:
     sys.stdout.buffer.flush()
 
 
+def begin_analysis(path: str, firmware: str) -> None:
+    """Start the process that reads a file, before anybody asks for its flight."""
+    if path not in _begun:
+        _begun[path] = subprocess.Popen(
+            (sys.executable, "-c", _CHILD, path, firmware),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+        )
+
+
 async def analysed(path: str, firmware: str) -> AsyncIterator[Recorded | str]:
     """The same by a process of its own, which ends with the iterator: outline, then the whole."""
-    process = await asyncio.create_subprocess_exec(
-        *(sys.executable, "-c", _CHILD, path, firmware),
-        stdin=asyncio.subprocess.DEVNULL,
-        stdout=asyncio.subprocess.PIPE,
+    begin_analysis(path, firmware)
+    process, reader = _begun.pop(path), asyncio.StreamReader()
+    transport, _ = await asyncio.get_running_loop().connect_read_pipe(
+        lambda: asyncio.StreamReaderProtocol(reader), process.stdout
     )
-    assert process.stdout is not None
     found: Recorded | str = ""
     try:
         with suppress(asyncio.IncompleteReadError):
             while True:
-                size = int.from_bytes(await process.stdout.readexactly(8), "little")
-                found = pickle.loads(await process.stdout.readexactly(size))  # of our own process
+                size = int.from_bytes(await reader.readexactly(8), "little")
+                found = pickle.loads(await reader.readexactly(size))  # of our own process
                 yield found
-        await process.wait()
+        await asyncio.to_thread(process.wait)
         if not found or (isinstance(found, Recorded) and not found.is_whole):
             yield f"the process that read {path} ended with {process.returncode}"
     finally:
-        if process.returncode is None:
-            process.kill()
+        transport.close()
+        process.kill()
+        process.wait()

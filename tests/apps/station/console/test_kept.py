@@ -6,6 +6,7 @@ import asyncio
 import math
 import pickle
 import random
+import signal
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import AsyncExitStack, suppress
@@ -34,6 +35,7 @@ from m100link.apps.station.console.kept import (
     Recorded,
     analyse,
     analysed,
+    begin_analysis,
 )
 from m100link.apps.station.console.tab import Tab
 from m100link.apps.station.console.tabs import MOVE_PATIENCE, Tabs
@@ -55,6 +57,7 @@ from tests.apps.station.conftest import Rig
 from tests.apps.station.console.test_tab import Browser
 from tests.known import seen
 from tests.log.flight import APP_ID, KEY
+from tests.waiting import PATIENCE
 
 pytestmark = pytest.mark.anyio
 
@@ -603,6 +606,27 @@ async def test_a_page_has_the_track_of_a_large_file_before_it_is_read(
     assert outline.story.track.length_m == pytest.approx(whole.story.track.length_m, rel=0.1)
     assert not outline.story.alarms
     assert whole.story.alarms
+
+
+async def test_a_process_that_reads_already_is_the_one_that_is_asked(alarming: Path) -> None:
+    path = str(alarming)
+    for _ in range(2):  # of two replays of one file, or one
+        begin_analysis(path, "")
+    begun = kept._begun[path]
+    found = [one async for one in analysed(path, "")]
+    assert isinstance(found[-1], Recorded)
+    assert (begun.returncode, kept._begun) == (0, {})
+
+
+async def test_a_process_that_nobody_asks_any_more_ends_without_a_word(
+    alarming: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    begin_analysis(str(alarming), "")
+    begun = kept._begun.pop(str(alarming))
+    assert begun.stdout is not None
+    begun.stdout.close()
+    assert await asyncio.to_thread(begun.wait, PATIENCE) == -signal.SIGPIPE
+    assert capfd.readouterr() == ("", "")
 
 
 OUTLINE = """
