@@ -338,7 +338,7 @@ def analyse(
         interval_s = min(max(INTERVAL_S, LONG_INTERVAL_S * size / LARGE), LONG_INTERVAL_S)
         if size > OUTLINED:
             with suppress(M100Error, TypeError, ValueError):  # of another writer, or damaged
-                on_outline(_outline(flight, interval_s))
+                on_outline(_outline(flight, 2.0 * interval_s))
         story = read_story(
             flight,
             firmware=firmware or None,
