@@ -17,7 +17,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-__all__ = ["printable", "read_json", "read_path", "read_toml"]
+__all__ = ["printable", "read_json", "read_path", "read_toml", "shortened"]
 
 _MOST_DIGITS = 300
 """Digits of an integer: a float holds up to 308."""
@@ -35,6 +35,11 @@ def printable(text: str, *, keeps: str = "") -> str:
         return text
     lost = "\N{REPLACEMENT CHARACTER}"
     return "".join(one if one.isprintable() or one in keeps else lost for one in text)
+
+
+def shortened(text: str, most: int = 40) -> str:
+    """The text in at most so many characters; three dots show that it was longer."""
+    return text if len(text) <= most else f"{text[: most - 3]}..."
 
 
 def read_json(

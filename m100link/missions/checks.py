@@ -15,6 +15,7 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 from m100link.errors import BadPlan, UsageError
+from m100link.errors.texts import shortened
 from m100link.geodesy import bearing_deg, distance_m, normalize_degrees
 from m100link.missions.waypoint import (
     ACTIONS,
@@ -101,7 +102,7 @@ def _outside(
 ) -> Iterator[BadPlan]:
     found = number(value)
     if found is None or not math.isfinite(found):
-        said = f"is {_shown(value)}, not a finite number"
+        said = f"is {shortened(repr(value))}, not a finite number"
     elif not limits.low <= found <= limits.high:
         above = found > limits.high
         limit = limits.high if above else limits.low
@@ -115,11 +116,6 @@ def _outside(
     if limits is _HEADING and found is not None and abs(found) <= 360:
         remedy += f"; {found - math.copysign(360, found):g}° is the same direction"
     yield wrong(field, value, said, remedy, limits[:2], point)
-
-
-def _shown(value: object) -> str:
-    text = repr(value)
-    return text if len(text) <= 40 else f"{text[:37]}..."
 
 
 def _problems_of_count(waypoints: Sequence[Waypoint]) -> Iterator[BadPlan]:
@@ -139,7 +135,9 @@ def _problems_of_choices(plan: PlanValues) -> Iterator[BadPlan]:
         value = getattr(plan, field)
         if not isinstance(value, kind):
             names = ", ".join(f"{kind.__name__}.{one.name}" for one in kind)
-            yield wrong(field, value, f"is {_shown(value)}", f"one of {names}", tuple(kind))
+            yield wrong(
+                field, value, f"is {shortened(repr(value))}", f"one of {names}", tuple(kind)
+            )
     yield from _not_bool(plan.gimbal_by_waypoint, "gimbal_by_waypoint")
     yield from _not_bool(plan.take_off, "take_off")
     yield from _outside(plan.repeat, _REPEAT, "repeat", whole=True)
@@ -147,7 +145,9 @@ def _problems_of_choices(plan: PlanValues) -> Iterator[BadPlan]:
 
 def _not_bool(value: object, field: str, point: int | None = None) -> Iterator[BadPlan]:
     if not isinstance(value, bool):
-        yield wrong(field, value, f"is {_shown(value)}", "True or False", (False, True), point)
+        yield wrong(
+            field, value, f"is {shortened(repr(value))}", "True or False", (False, True), point
+        )
 
 
 def _problems_of_speed(plan: PlanValues) -> Iterator[BadPlan]:
@@ -167,7 +167,7 @@ def _problems_of_speed(plan: PlanValues) -> Iterator[BadPlan]:
 def _problems_of_point(index: int, waypoint: Waypoint, trace: Trace) -> Iterator[BadPlan]:
     if not isinstance(waypoint, Waypoint):
         yield BadPlan(  # type: ignore[unreachable] # what callers without a checker give
-            f"waypoint {index} is {_shown(waypoint)}",
+            f"waypoint {index} is {shortened(repr(waypoint))}",
             point=index,
             field="waypoints",
             value=waypoint,
@@ -189,7 +189,7 @@ def _problems_of_actions(index: int, waypoint: Waypoint, trace: Trace) -> Iterat
     actions = waypoint.actions
     if not isinstance(actions, tuple):
         remedy = f"a list of {_ACTIONS}"
-        yield wrong("actions", actions, f"is {_shown(actions)}", remedy, point=index)
+        yield wrong("actions", actions, f"is {shortened(repr(actions))}", remedy, point=index)
         return
     if len(actions) > MOST_ACTIONS:
         yield BadPlan(
@@ -216,7 +216,7 @@ def _problems_of_actions(index: int, waypoint: Waypoint, trace: Trace) -> Iterat
 def _problems_of_action(index: int, field: str, action: object) -> Iterator[BadPlan]:
     kind: Any = type(action)
     if kind not in ACTIONS.values():
-        said, remedy = f"is {_shown(action)}", f"one of {_ACTIONS}"
+        said, remedy = f"is {shortened(repr(action))}", f"one of {_ACTIONS}"
         if isinstance(action, type) and action in ACTIONS.values():
             said = f"is the class {action.__name__}"
             remedy = f"an action is made by calling it: {action.__name__}(…)"

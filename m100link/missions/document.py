@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from m100link.errors import BadPlan
-from m100link.errors.texts import read_json
+from m100link.errors.texts import read_json, shortened
 from m100link.missions.checks import wrong
 from m100link.missions.waypoint import (
     ACTIONS,
@@ -123,8 +123,7 @@ def _named(value: object) -> str:
 
 def short(value: object) -> str:
     """A value as JSON has it, cut off where it is long."""
-    text = json.dumps(value, ensure_ascii=False, default=repr)
-    return text if len(text) <= 40 else f"{text[:37]}..."
+    return shortened(json.dumps(value, ensure_ascii=False, default=repr))
 
 
 def from_json(document: Mapping[str, Any]) -> dict[str, Any]:

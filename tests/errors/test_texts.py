@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from m100link.errors.texts import printable, read_json, read_path, read_toml
+from m100link.errors.texts import printable, read_json, read_path, read_toml, shortened
 from tests import limits
 from tests.test_house import PACKAGE, ROOT
 
@@ -106,3 +106,8 @@ def test_nothing_else_in_the_package_parses_texts() -> None:
 
 def test_each_limit_is_as_agreed() -> None:
     assert limits.differences("errors") == []
+
+
+@pytest.mark.parametrize(("length", "said"), [(0, ""), (10, "x" * 10), (11, "x" * 7 + "...")])
+def test_a_text_that_is_cut_says_so(length: int, said: str) -> None:
+    assert shortened("x" * length, 10) == said

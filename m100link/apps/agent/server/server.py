@@ -22,7 +22,7 @@ from m100link.apps.agent.server.authority import HoldingInput, HoldingState
 from m100link.apps.agent.server.mission import push_of
 from m100link.apps.agent.transports import Channel
 from m100link.errors import AuthorityLost, GuardRefused, M100Error, NotObserved, UsageError
-from m100link.errors.texts import printable
+from m100link.errors.texts import printable, shortened
 from m100link.flight.mission_state import MissionKind, MissionState
 from m100link.flight.missions.events import MissionEvent
 from m100link.link.statistics import ROUND_TRIP_BOUNDS_S
@@ -499,9 +499,9 @@ class ClientSession:
 
     def _on_note(self, note: messages.JournalNote) -> None:
         if note.level in messages.LEVELS and self._notes.take(self._agent.now):
-            self._agent.journal.note(printable(note.text[:_MAX_NOTE]), note.level)
+            self._agent.journal.note(printable(shortened(note.text, _MAX_NOTE)), note.level)
         elif note.level == messages.LOG_ONLY:
-            self._note("text", 0, text=printable(note.text[:_MAX_LOGGED]))
+            self._note("text", 0, text=printable(shortened(note.text, _MAX_LOGGED)))
 
     def _on_ask(self, ask: messages.Ask) -> None:
         order, lease = ask.order, ask.fence if ask.fence in self._leases else 0
@@ -534,7 +534,7 @@ class ClientSession:
         agent, now = self._agent, self._agent.now
         holder = agent.leases.holder(now)
         if holder is not None and holder.number not in self._leases and self._notes.take(now):
-            text = printable((why or f"{self.name}: hover")[:_MAX_NOTE])
+            text = printable(shortened(why or f"{self.name}: hover", _MAX_NOTE))
             agent.journal.note(text, "info", messages.EventTopic.HALTED)
 
     def _begin(self, ask: messages.Ask) -> Any:
@@ -595,4 +595,4 @@ class ClientSession:
 def _why(error: M100Error | None) -> dict[str, Any]:
     if error is None:
         return {}
-    return {"error": error.error_code, "seen": printable(error.seen[:_MAX_NOTE])}
+    return {"error": error.error_code, "seen": printable(shortened(error.seen, _MAX_NOTE))}

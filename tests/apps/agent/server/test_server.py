@@ -13,6 +13,7 @@ import pytest
 from m100link.apps.agent import orders
 from m100link.apps.agent.lease import Flown, Lease, LeaseChange, TakeOver
 from m100link.apps.agent.messages import (
+    LOG_ONLY,
     VERSION,
     Ask,
     Event,
@@ -344,6 +345,20 @@ async def test_notes_and_questions_are_bounded(rig: Rig, service: AgentServer) -
             front.send(JournalNote("info", "note"))
         later = [one for one in rig.agent.journal.events if one.text == "note"]
         assert len(later) == {5: 5, 20: 25}[more]
+
+
+@pytest.mark.parametrize(("level", "most"), [("info", 200), (LOG_ONLY, 4000)])
+async def test_a_note_that_is_too_long_says_that_it_was_cut(
+    rig: Rig, service: AgentServer, level: str, most: int
+) -> None:
+    """A long mission would else seem to end with the last item that fitted."""
+    front = Front(rig, service)
+    front.send(JournalNote(level, "x" * (most + 1)))
+    (session,) = service._fronts
+    told = [one.text for one in rig.agent.journal.events]
+    told += [values["text"] for _, _, values in session.take_notes()]
+    assert "x" * (most - 3) + "..." in told
+    assert "x" * (most - 2) not in "".join(told)
 
 
 async def test_questions_without_the_lease_cost_its_holder_behind_the_same_front_nothing(
