@@ -347,11 +347,13 @@ class GuardRefused(
         guard: Name of the guard, as it is switched off by.
         measured: The value that made it refuse.
         limit: The limit that was crossed.
+        outside: The target outside of the envelope, in words without the name of the flight.
     """
 
     guard: str = ""
     measured: object = None
     limit: object = None
+    outside: str = ""
 
 
 class TelemetryError(

@@ -115,15 +115,19 @@ class Envelope:
             (speed, "max_speed_m_s", "a speed of {:.1f} m/s", "fly slower"),
         ):
             if value is not None and value > getattr(self, name) + 1e-9:
-                raise self._refusal(f"{what} to {seen.format(value)}", name, value, better)
+                raise self._refusal(seen.format(value), name, value, better, f"{what} to ")
 
-    def _refusal(self, what: str, name: str, measured: float | None, better: str) -> GuardRefused:
+    def _refusal(
+        self, what: str, name: str, measured: float | None, better: str, flight: str = ""
+    ) -> GuardRefused:
         """The refusal of a target outside, by the limit of that name."""
         limit = getattr(self, name)
         ends = f"allows {limit:g} m/s" if name == "max_speed_m_s" else f"ends at {limit:g} m"
+        outside = f"{what} was refused: the envelope {ends}"
         return GuardRefused(
-            f"{what} was refused: the envelope {ends}",
+            f"{flight}{outside}",
             guard="envelope",
+            outside=outside,
             measured=measured,
             limit=limit,
             remedy=f"{better}, or control(guards=Guards(envelope=Envelope({name}=…)))",

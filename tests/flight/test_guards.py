@@ -272,6 +272,15 @@ async def test_battery_guard_off_by_its_name() -> None:
 # -- envelope -------------------------------------------------------------------------------------
 
 
+def test_a_refusal_has_the_target_without_the_name_of_the_flight() -> None:
+    """A name may have any words: a ground station's text is not cut out of the sentence."""
+    with pytest.raises(GuardRefused) as caught:
+        Envelope(max_radius_m=150.0).check("a flight to the well", far=600.2)
+    said = "600 m from the start was refused: the envelope ends at 150 m"
+    assert caught.value.outside == said
+    assert caught.value.seen == f"a flight to the well to {said}"
+
+
 async def test_a_height_beyond_the_envelope_is_refused() -> None:
     async with hovering() as (flown, control):
         error = refusal(

@@ -364,8 +364,7 @@ class CommandProtocol:
             try:
                 require_inside((order,), known.telemetry, known.state.limits)
             except GuardRefused as error:
-                where = error.seen.partition(" to ")[2]
-                return f"{what}: {where}; --max-radius, --max-height widen it"
+                return f"{what}: {error.outside}; --max-radius, --max-height widen it"
         return ""
 
     # -- messages and rates ----------------------------------------------------------------------

@@ -319,7 +319,7 @@ TAKE_OFF = item(MavCommand.NAV_TAKEOFF, z=60.0)
     [
         (
             [waypoint(15.0, 0.1), waypoint(600.0, 0.1)],
-            r"item 1, NAV_WAYPOINT \(16\): 600 m .* 150 m; --max-r",
+            r"item 1, NAV_WAYPOINT \(16\): 600 m from the start was refused: .* 150 m; --max-r",
         ),
         (
             [waypoint(15.0, 0.1), waypoint(15.0, 9.0, z=51.0)],
