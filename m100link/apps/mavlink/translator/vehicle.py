@@ -72,7 +72,7 @@ _CAMERA_BEAT = MavlinkMessage(
     {"type": 30, "autopilot": 8, "system_status": SystemStatus.ACTIVE, "mavlink_version": 3},
     component=CAMERA,
 )
-_QUESTIONS = (MavCommand.REQUEST_MESSAGE, MavCommand.SET_MESSAGE_INTERVAL)
+_QUESTIONS = ("REQUEST_", "GET_", "SET_MESSAGE_")  # begins of the names of commands that only ask
 _PARAMETER_MESSAGES = ("PARAM_REQUEST_LIST", "PARAM_REQUEST_READ", "PARAM_SET")
 _MISSION_MESSAGES = (
     *("MISSION_COUNT", "MISSION_ITEM_INT", "MISSION_REQUEST_LIST", "MISSION_REQUEST_INT"),
@@ -204,8 +204,8 @@ class MavlinkVehicle:
         self._log(asked, result)
 
     def _log(self, asked: Asked, result: MavResult) -> None:
-        """Let the flight log say who asked for what, questions apart."""
-        if asked.command not in _QUESTIONS or result is not MavResult.ACCEPTED:
+        """Let the flight log say who asked for what; programs ask in vain for each message."""
+        if not str(asked).startswith(_QUESTIONS):
             self._note(f"{asked.peer.name}: {asked}: {result.name}")
 
     def _log_items(

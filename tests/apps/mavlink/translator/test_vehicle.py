@@ -192,6 +192,19 @@ async def test_another_client_that_has_control_is_named(rig: Rig, ground: Ground
     await rig.until(lambda: "the console has control" in ground.texts)
 
 
+async def test_the_flight_log_has_orders_and_no_questions(rig: Rig, ground: Ground) -> None:
+    """MAVSDK asks for camera, gimbal and others for ever, and filled the report of a flight."""
+    notes: list[str] = []
+    rig.client.note = lambda text, _: notes.append(text)  # type: ignore[method-assign,assignment]
+    for command in MavCommand:
+        if command.name.startswith(("REQUEST", "GET", "SET_M")):
+            await ground.ask(command, 259.0)
+    assert await ground.ask(MavCommand.MISSION_START) is MavResult.DENIED
+    assert [one for one in notes if "):" in one] == [
+        "MAVLink 245 at 127.0.0.1:14540: MISSION_START(): DENIED"
+    ]
+
+
 async def test_a_long_text_comes_in_parts(rig: Rig, ground: Ground) -> None:
     text = "x" * 120
     ground.heard.clear()
