@@ -2,7 +2,7 @@
 
 Where Sphinx is installed (`nox -s build`) the pages are made as text, with every table and class in
 them. In the environment that pip makes to install from a source tree it is not: the pages are then
-taken as they are written.
+taken as they are written, and the command makes their tables by the modules of docs/_ext.
 """
 
 from __future__ import annotations
@@ -36,6 +36,8 @@ class Manual(BuildHookInterface[Any]):
             command = ("-m", "sphinx", "-q", "-b", "text", "-d", f"{made}/.doctrees")
             subprocess.run([sys.executable, *command, str(source), f"{made}/text"], check=True)
             source, suffix = Path(made) / "text", ".txt"
+        for table in () if suffix == ".txt" else sorted((source / "_ext").glob("*.py")):
+            build_data["force_include"][str(table)] = f"{PLACE}/_ext/{table.name}"
         for folder in FOLDERS:
             index = Path(self.root) / "docs" / folder / "index.md"  # `m100link docs` lists by it
             if index.exists():

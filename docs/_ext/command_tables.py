@@ -11,19 +11,22 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Iterable, Sequence
-from typing import Any
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any
 
-from docutils import nodes
-from docutils.statemachine import StringList
-from sphinx.application import Sphinx
-from sphinx.util.docutils import SphinxDirective
-from tables import TableDirective, home, sentence, table
+from tables import SphinxDirective, TableDirective, home, sentence, table
 
 from m100link.protocol import codes
 from m100link.protocol.command import Command, Movement, Notification, Push, Request
 from m100link.protocol.commands.missions import Answer
 from m100link.protocol.commands.registry import COMMANDS
 from m100link.protocol.fields import Laid, Layout
+
+if TYPE_CHECKING:
+    from sphinx.application import Sphinx
+with suppress(ImportError):  # `m100link docs` shows the rows of tables without the builder
+    from docutils import nodes
+    from docutils.statemachine import StringList
 
 _TYPES = {
     "B": "u8",

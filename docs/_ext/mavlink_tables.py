@@ -10,9 +10,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from sphinx.application import Sphinx
 from tables import TableDirective
 
 from m100link.apps.mavlink.translator.commands import COMMANDS
@@ -22,6 +21,9 @@ from m100link.apps.mavlink.translator.route import ITEMS, WITHOUT_EFFECT
 from m100link.apps.mavlink.translator.telemetry import STREAMS
 from m100link.apps.mavlink.translator.vehicle_state import MODES
 from m100link.missions.qgroundcontrol import command_name
+
+if TYPE_CHECKING:
+    from sphinx.application import Sphinx
 
 
 class Modes(TableDirective):

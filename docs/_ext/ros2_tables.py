@@ -9,14 +9,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from sphinx.application import Sphinx
 from tables import TableDirective
 
 from m100link.apps.ros2.actions import FLIGHTS
 from m100link.apps.ros2.topics import INPUTS, OUTPUTS, SERVICES
 from m100link.log.cdr import full_name
+
+if TYPE_CHECKING:
+    from sphinx.application import Sphinx
 
 
 class Outputs(TableDirective):

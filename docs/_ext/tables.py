@@ -32,15 +32,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from enum import Enum
 from pathlib import Path
 from struct import calcsize
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import endings
 from cyclopts import App
-from docutils import nodes
-from docutils.statemachine import StringList
 from rich.console import Console
-from sphinx.application import Sphinx
-from sphinx.util.docutils import SphinxDirective
 
 from m100link import protocol
 from m100link.aircraft import supervising as supervision
@@ -52,6 +48,15 @@ from m100link.protocol import firmware, records, setpoint
 from m100link.protocol.items import ITEMS
 from m100link.protocol.packet import telemetry_size
 from m100link.wire import Discard
+
+if TYPE_CHECKING:
+    from sphinx.application import Sphinx
+try:
+    from docutils import nodes
+    from docutils.statemachine import StringList
+    from sphinx.util.docutils import SphinxDirective
+except ImportError:  # `m100link docs` shows the rows of tables where the builder is not installed
+    SphinxDirective = object  # type: ignore[assignment,misc]  # it has rows all the same
 
 PROFILES = tuple(firmware.PROFILES.values())
 _PYPROJECT = Path(__file__).parents[2] / "pyproject.toml"

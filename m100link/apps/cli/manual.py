@@ -14,11 +14,13 @@ import os
 import re
 import shutil
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from difflib import get_close_matches
 from itertools import groupby
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
@@ -260,8 +262,32 @@ def _unfenced(found: re.Match[str], root: Path) -> str:
         return f"> **{name.capitalize()}.** {said}"
     if name == "eval-rst":
         return "\n".join(_described(body))
+    if head_and_rows := _rows(name, argument, root):
+        head, *rows = (
+            [one.replace("``", "`").replace("|", "\\|") for one in row] for row in head_and_rows
+        )
+        return "\n".join(f"| {' | '.join(row)} |" for row in (head, ["---"] * len(head), *rows))
     what = " ".join([*name.split("-"), argument]).strip()
     return f"*({what}: made of the code, see the manual that `nox -s manual` builds)*"
+
+
+def _rows(name: str, argument: str, root: Path) -> list[Sequence[str]]:
+    """Head and body of a table that the builder makes of the code; none of what is no table."""
+    folder, made = str(root / "_ext"), dict[str, Any]()
+    builder = SimpleNamespace(add_directive=made.__setitem__, connect=lambda *_: None)
+    sys.path.insert(0, folder)
+    try:
+        for path in sorted(Path(folder).glob("*tables.py")):
+            with suppress(ImportError):  # an extra is not installed
+                importlib.import_module(path.stem).setup(builder)
+    finally:
+        sys.path.remove(folder)
+    table = made.get(name, object)
+    if not hasattr(table, "rows"):
+        return []
+    directive = table.__new__(table)
+    directive.arguments = argument.split()
+    return [*directive.rows()]
 
 
 def _described(body: str) -> Iterator[str]:
