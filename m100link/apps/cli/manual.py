@@ -287,7 +287,9 @@ def _rows(name: str, argument: str, root: Path) -> list[Sequence[str]]:
         return []
     directive = table.__new__(table)
     directive.arguments = argument.split()
-    return [*directive.rows()]
+    with suppress(OSError):  # it is made of a file that a wheel has not
+        return [*directive.rows()]
+    return []
 
 
 def _described(body: str) -> Iterator[str]:
