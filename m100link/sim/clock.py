@@ -5,10 +5,11 @@ The virtual aircraft takes its time from the event loop, so a faster loop is a f
     with asyncio.Runner(loop_factory=virtual_clock_loop) as runner:
         runner.run(minutes_of_flight())            # half a second for each of them
 
-The **virtual** clock never waits: when nothing is ready to run, time jumps to the next timer. It is
-exact and repeatable, for everything that stays inside the process. Threads and other processes do
-not know about it: while one of them works, virtual time may run on for hours. For real ports use
-the **scaled** clock, which waits, only shorter.
+The **virtual** clock does not wait for its timers: when nothing is ready to run, time jumps to the
+next. It is exact and repeatable, for everything that stays inside the process. While a thread works
+for the loop (``asyncio.to_thread``, ``loop.run_in_executor``), time stands still. Other threads and
+processes do not know about it: while one of them works, virtual time may run on for hours. For real
+ports use the **scaled** clock, which waits, only shorter.
 """
 
 from __future__ import annotations
@@ -18,8 +19,9 @@ import math
 import selectors
 import threading
 import time
+import warnings
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar, TypeVarTuple, Unpack
 
 __all__ = [
     "LockstepEventLoop",
@@ -30,6 +32,8 @@ __all__ = [
 ]
 
 _Events = list[tuple[selectors.SelectorKey, int]]
+_Result = TypeVar("_Result")
+_Given = TypeVarTuple("_Given")
 
 
 _LONGEST_STEP_S = 0.1
@@ -98,6 +102,8 @@ class ScaledEventLoop(asyncio.SelectorEventLoop):
 
 _FAIR_S = 0.005  # real time; after which an interpreter asks a thread for its lock, too
 _MOMENT_S = 0.0001
+_HANGS_S = 20.0
+"""Real seconds for which time stands still for a thread: longer than a log waits for its disk."""
 
 
 class _JumpingSelector(selectors.DefaultSelector):
@@ -106,26 +112,21 @@ class _JumpingSelector(selectors.DefaultSelector):
     now = 0.0
     waiters = 0  # only where time stands still without one
     _unpolled = 0
-    _registered = 0
     _slept_at = 0.0  # real time, s
 
-    def register(self, *args: Any, **options: Any) -> selectors.SelectorKey:
-        key = super().register(*args, **options)
-        self._registered = len(self.get_map())
-        return key
-
-    def unregister(self, *args: Any, **options: Any) -> selectors.SelectorKey:
-        key = super().unregister(*args, **options)
-        self._registered = len(self.get_map())
-        return key
+    def __init__(self) -> None:
+        super().__init__()
+        self.working: dict[object, float] = {}  # what threads work at, until when it is waited for
 
     def select(self, timeout: float | None = None) -> _Events:
         if timeout is None:  # no timer at all: only a thread or a file can end this wait
             return super().select(None)
+        if self.working and timeout > 0.0:
+            return self._wait_for_threads()
         # With nothing registered but the loop's own pipe, which only wakes a loop that waits,
         # there is no need to ask the system on every pass.
         self._unpolled += 1
-        if self._unpolled < 50 and self._registered <= 1:
+        if self._unpolled < 50 and len(self.get_map()) <= 1:
             events: _Events = []
         else:
             self._unpolled = 0
@@ -135,6 +136,21 @@ class _JumpingSelector(selectors.DefaultSelector):
             self._let_threads_run()
         return events
 
+    def _wait_for_threads(self) -> _Events:
+        """Wait in real time for a thread that calls back; no virtual time passes."""
+        now = time.monotonic()
+        if left := [until - now for until in self.working.values() if until > now]:
+            return super().select(min(left))
+        self.working.clear()
+        warnings.warn(
+            f"a thread has worked for {_HANGS_S:g} s: virtual time goes on without it\n"
+            "  likely cause: it hangs, or it waits for what needs time of this event loop\n"
+            "  what to do:   let it wait in a threading.Thread, which holds no virtual time",
+            RuntimeWarning,
+            stacklevel=2,
+        )
+        return []
+
     def _let_threads_run(self) -> None:
         """Sleep for a moment of real time, now and then, where there is anybody to run.
 
@@ -142,13 +158,17 @@ class _JumpingSelector(selectors.DefaultSelector):
         the interpreter's lock and has it back before another thread has woken up.
         """
         if time.monotonic() - self._slept_at >= _FAIR_S:
-            if threading.active_count() > 1 or self._registered > 1:
+            if threading.active_count() > 1 or len(self.get_map()) > 1:
                 time.sleep(_MOMENT_S)
             self._slept_at = time.monotonic()
 
 
 class VirtualClockEventLoop(asyncio.SelectorEventLoop):
-    """An event loop without waiting: idle, its time jumps to the next timer. It starts at 0."""
+    """An event loop without waiting: idle, its time jumps to the next timer. It starts at 0.
+
+    Time stands still while a thread of an executor works for it; after 20 real seconds it goes on,
+    with a ``RuntimeWarning``. A ``threading.Thread`` of your own does not hold it.
+    """
 
     _selector_class = _JumpingSelector
 
@@ -159,6 +179,26 @@ class VirtualClockEventLoop(asyncio.SelectorEventLoop):
     def time(self) -> float:
         """Virtual seconds since the loop was made."""
         return self._jumping.now
+
+    def run_in_executor(
+        self, executor: Any, func: Callable[[Unpack[_Given]], _Result], *args: *_Given
+    ) -> asyncio.Future[_Result]:
+        """Call it in a thread. Time stands still until its result is there, or is given up."""
+        future = super().run_in_executor(executor, func, *args)
+        self._jumping.working[future] = time.monotonic() + _HANGS_S
+        future.add_done_callback(lambda done: self._jumping.working.pop(done, None))
+        return future
+
+    def call_exception_handler(self, context: dict[str, Any]) -> None:
+        """As usual, but what is to end a program or a test (its time limit) ends the loop.
+
+        asyncio goes on after an exception of a callback, and a callback may come again for ever
+        without that any virtual time passes.
+        """
+        error = context.get("exception") if "handle" in context else None
+        if error is not None and not isinstance(error, Exception | asyncio.CancelledError):
+            raise error
+        super().call_exception_handler(context)
 
     async def shutdown_default_executor(self, timeout: float | None = None) -> None:
         """Wait for the executor's threads, however long they take.

@@ -6,7 +6,6 @@ import asyncio
 import json
 import logging
 import random
-import time
 from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -18,7 +17,6 @@ from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.lease import Lease
 from m100link.apps.agent.server import connection as agent_connection
-from m100link.apps.agent.server.agent import Agent
 from m100link.apps.agent.server.server import AgentServer
 from m100link.apps.agent.transports import memory_channels
 from m100link.apps.mavlink.translator.numbers import MissionResult, MissionType
@@ -39,7 +37,6 @@ from tests.apps.every_front import (
 )
 from tests.apps.mavlink.translator.test_missions import Exchange, item
 from tests.rig import NORTH
-from tests.waiting import PATIENCE
 
 pytestmark = pytest.mark.anyio
 pytest.importorskip("mcap.writer", reason="the extra `log` is not installed")
@@ -144,18 +141,6 @@ async def closed(rig: Rig) -> None:
     aircraft = rig.agent.connection.aircraft
     assert aircraft is not None
     await aircraft.aclose()
-
-
-async def connected(agent: Agent) -> None:
-    """It is connected again.
-
-    A thread opens its log, in real time: a virtual clock on its own would pass by all that waits.
-    """
-    ends_at = time.monotonic() + PATIENCE
-    while agent.connection.aircraft is None:
-        assert time.monotonic() < ends_at
-        time.sleep(0.001)  # noqa: ASYNC251 - for the thread
-        await asyncio.sleep(0.01)
 
 
 async def keep(client: AgentClient, lease: Lease) -> None:
@@ -281,7 +266,7 @@ async def test_a_line_that_is_lost_in_flight_has_its_end_in_the_file(
     rig.aircraft.unplug()
     await asyncio.sleep(0.5)
     rig.aircraft.replug()
-    await connected(rig.agent)
+    await rig.until(lambda: rig.agent.connection.aircraft is not None)
     await closed(rig)
     first, second, *_ = recorded(folder)
     [control] = those(first, "authority", before="held")
@@ -310,8 +295,7 @@ async def test_the_log_of_a_new_connection_has_the_fence_in_force(folder: Path) 
         user.aircraft.unplug()
         await user.passes(1.0)
         user.aircraft.replug()
-        await connected(user.agent)
-        await user.passes(1.0)
+        await user.passes(6.0)
     first, second, *_ = recorded(folder)
     said = "MAVLink 245 at 127.0.0.1:14540 uploaded a fence of 1 items: NAV_FENCE_CIRCLE_INCLUSION"
     texts = [one["text"] for one in those(first, "text")]

@@ -202,9 +202,11 @@ async def test_a_program_that_is_cancelled_while_a_log_is_made_leaves_none(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     flights = Flights(tmp_path, tell=Told())
-    goes_on, is_made, made = threading.Event(), threading.Event(), flights._made
+    has_begun, goes_on, is_made = (threading.Event() for _ in range(3))
+    made = flights._made
 
     def make() -> Recorder:
+        has_begun.set()
         goes_on.wait(PATIENCE)
         try:
             return made()
@@ -213,7 +215,7 @@ async def test_a_program_that_is_cancelled_while_a_log_is_made_leaves_none(
 
     monkeypatch.setattr(flights, "_made", make)
     beginning = asyncio.ensure_future(flights.begin())
-    await asyncio.sleep(0.01)
+    await asyncio.to_thread(has_begun.wait, PATIENCE)
     beginning.cancel()
     with pytest.raises(asyncio.CancelledError):
         await beginning

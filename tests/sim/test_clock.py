@@ -5,14 +5,23 @@ from __future__ import annotations
 import asyncio
 import itertools
 import os
+import random
 import socket
 import threading
 import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
-from m100link.sim import LockstepEventLoop, ScaledEventLoop, VirtualClockEventLoop, loop_factory
+from m100link.sim import (
+    LockstepEventLoop,
+    ScaledEventLoop,
+    VirtualClockEventLoop,
+    clock,
+    loop_factory,
+)
 
 
 async def sleeper(seconds: float, count: int = 1) -> float:
@@ -80,6 +89,111 @@ def test_virtual_time_waits_for_a_thread_when_there_is_no_timer() -> None:
 
     with asyncio.Runner(loop_factory=VirtualClockEventLoop) as runner:
         assert runner.run(main()) == 42
+
+
+@pytest.mark.parametrize("make", [VirtualClockEventLoop, LockstepEventLoop])
+@pytest.mark.parametrize("seed", range(3))
+def test_no_timer_passes_while_a_thread_works(
+    seed: int, make: Callable[[], VirtualClockEventLoop]
+) -> None:
+    """A busy machine opened a log, thirty virtual seconds passed, and a lease had ended."""
+    rng, at_work, passed = random.Random(seed), [0], list[str]()
+
+    def work(seconds: float, loop: asyncio.AbstractEventLoop) -> None:
+        time.sleep(seconds)
+        if rng.random() < 0.5:  # it reports before it is done, as a download does
+            loop.call_soon_threadsafe(lambda: None)
+            time.sleep(seconds)
+
+    async def job(loop: asyncio.AbstractEventLoop) -> None:
+        at_work[0] += 1
+        began = loop.time()
+        await asyncio.sleep(0)
+        seconds = rng.uniform(0.0, 0.004)
+        match rng.randrange(3):
+            case 0:
+                await asyncio.to_thread(work, seconds, loop)
+            case 1:
+                with ThreadPoolExecutor(1) as pool:
+                    await loop.run_in_executor(pool, work, seconds, loop)
+            case _:
+                await loop.getaddrinfo("127.0.0.1", 1)
+        if loop.time() != began:
+            passed.append(f"{loop.time() - began} s")
+        at_work[0] -= 1
+
+    def timer() -> None:
+        if at_work[0]:
+            passed.append("a timer")
+
+    async def main() -> float:
+        loop = asyncio.get_running_loop()
+        if isinstance(loop, LockstepEventLoop):
+            loop.begin_waiting()
+        for _ in range(8):
+            for _ in range(5):
+                loop.call_later(10.0 ** rng.uniform(-4.0, 4.0), timer)
+            await asyncio.gather(*(job(loop) for _ in range(rng.randint(1, 4))))
+            await asyncio.sleep(rng.uniform(0.0, 100.0))
+        began = loop.time()
+        await asyncio.sleep(2e4)  # and all timers come
+        return loop.time() - began
+
+    with asyncio.Runner(loop_factory=make) as runner:
+        assert runner.run(main()) == pytest.approx(2e4)
+    assert passed == [], f"seed {seed}"
+
+
+def test_a_thread_that_hangs_is_told_and_holds_time_no_longer(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(clock, "_HANGS_S", 0.05)
+    may_end = threading.Event()
+
+    async def main() -> float:
+        loop = asyncio.get_running_loop()
+        hung = loop.run_in_executor(None, may_end.wait)
+        with pytest.warns(RuntimeWarning, match=r"has worked for 0\.05 s: virtual time goes on"):
+            await asyncio.sleep(60.0)
+        at = loop.time()
+        await asyncio.sleep(60.0)  # nobody waits for it again
+        assert not hung.done()
+        may_end.set()
+        await hung
+        return at
+
+    with asyncio.Runner(loop_factory=VirtualClockEventLoop) as runner:
+        assert runner.run(main()) == 60.0
+
+
+def test_time_does_not_stand_still_for_a_result_that_nobody_wants() -> None:
+    may_end = threading.Event()
+
+    async def main() -> None:
+        unwanted = asyncio.get_running_loop().run_in_executor(None, may_end.wait)
+        unwanted.cancel()
+        await asyncio.sleep(60.0)
+        may_end.set()
+
+    with asyncio.Runner(loop_factory=VirtualClockEventLoop) as runner:
+        runner.run(main())
+
+
+def test_a_callback_that_comes_for_ever_is_ended_by_the_time_limit_of_a_test() -> None:
+    passes = itertools.count()
+
+    async def main() -> None:
+        def spin() -> None:
+            asyncio.get_running_loop().call_soon(spin)
+            if next(passes) == 100:  # here the signal of pytest-timeout arrives
+                pytest.fail("the time limit")
+
+        spin()
+        await asyncio.sleep(1.0)
+
+    limit = pytest.raises(pytest.fail.Exception, match="the time limit")
+    with asyncio.Runner(loop_factory=VirtualClockEventLoop) as runner, limit:
+        runner.run(main())
 
 
 def test_the_end_waits_for_a_thread_in_real_time() -> None:

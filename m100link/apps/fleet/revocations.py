@@ -9,11 +9,9 @@ from __future__ import annotations
 
 import asyncio
 import os
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from functools import partial
 from pathlib import Path
-from typing import Any
 
 from cryptography import x509
 
@@ -49,11 +47,7 @@ class Revocations:
         authority: x509.Certificate,  # whose lists are believed
         path: Path | None = None,  # where the list is kept; None: nowhere
         rights: Rights | None = None,  # who has which certificate: a name of either kind is revoked
-        *,
-        # Does beside the loop what may have to wait for a disk.
-        apart: Callable[..., Awaitable[Any]] = asyncio.to_thread,
     ) -> None:
-        self._apart = apart
         self.authority = authority
         self._path = path
         self._rights = rights
@@ -64,13 +58,7 @@ class Revocations:
         self.on_change: list[Callable[[], None]] = []  # called when a newer one is in force
 
     @classmethod
-    def of_folder(
-        cls,
-        folder: Path,
-        rights: Rights | None = None,
-        *,
-        apart: Callable[..., Awaitable[Any]] = asyncio.to_thread,
-    ) -> Revocations:
+    def of_folder(cls, folder: Path, rights: Rights | None = None) -> Revocations:
         """Those of a folder with certificates: ``ca.pem``, and ``revoked.list`` if there is one.
 
         Raises:
@@ -89,7 +77,7 @@ class Revocations:
             raise UsageError(
                 f"{place} has no certificate", remedy="copy it anew from the authority's folder"
             ) from error
-        found = cls(authority, folder / LIST, rights, apart=apart)
+        found = cls(authority, folder / LIST, rights)
         found.read()
         return found
 
@@ -154,7 +142,7 @@ class Revocations:
     async def look(self) -> bool:
         """As :meth:`read`, beside the loop: a disk may stand still."""
         async with self._keeping:
-            data = await self._apart(self._written)
+            data = await asyncio.to_thread(self._written)
         return data is not None and self.take_in(data)
 
     async def keep(self) -> None:
@@ -169,7 +157,7 @@ class Revocations:
             if path is None or data == self._kept:
                 return
             try:
-                await self._apart(partial(replace_file, mode=0o666), path, data)  # no secret
+                await asyncio.to_thread(replace_file, path, data, mode=0o666)  # no secret
                 self._kept = data
             except OSError as error:
                 raise UsageError(

@@ -52,7 +52,6 @@ from tests.apps.agent.conftest import hears_late
 from tests.apps.agent.examples import example
 from tests.apps.bus.memory import MemoryBus
 from tests.apps.fleet.conftest import SITE, OnBoard, Rig, with_camera
-from tests.apps.fleet.logs.conftest import AtOnce
 from tests.apps.fleet.test_payloads import BOTH, OLD_ORDERS
 
 pytestmark = pytest.mark.anyio
@@ -578,7 +577,7 @@ async def test_an_old_client_hears_both_versions_and_nothing_is_done(rig: Rig) -
     one = await rig.aircraft("a1")
     spawn, bus = one.agent.background.spawn, rig.network.session()
     spawn(ShowService(one.client, one.bus, KEYS, one.fleet_agent.boot).run(), "shows")
-    spawn(LogService(one.bus, KEYS, None, apart=AtOnce()).run(), "logs")
+    spawn(LogService(one.bus, KEYS, None).run(), "logs")
     await anyio.sleep(0.1)
     for key, payload in OLD_ORDERS.items():
         [answer] = await bus.ask(KEYS.of(key), payload, timeout=2.0)

@@ -34,6 +34,7 @@ from m100link.apps.fleet.revocations import LIST, Revocations, RevocationService
 from m100link.apps.fleet.show.service import ShowService
 from m100link.apps.fleet.signing import signing, verifying
 from m100link.errors import M100Error, NotAllowed, OutcomeUnknown, Unreachable, UsageError
+from m100link.link.keyfile import replace_file
 from m100link.protocol.setpoint import Setpoint
 from tests.apps.fleet.conftest import SITE, OnBoard, Rig
 from tests.apps.fleet.test_signing import ANNA, BERT
@@ -55,11 +56,6 @@ fly = ["a1"]
 )
 
 
-async def at_once(work: Callable[..., Any], *given: Any) -> Any:
-    """Threads know nothing of virtual time."""
-    return work(*given)
-
-
 class Site:
     """An authority, one aircraft that believes its lists, and two pilots."""
 
@@ -69,7 +65,7 @@ class Site:
         self.onboard = folder / "board"
         self.onboard.mkdir()
         (self.onboard / "ca.pem").write_bytes((self.ca / "ca.pem").read_bytes())
-        self.revocations = Revocations.of_folder(self.onboard, RIGHTS, apart=at_once)
+        self.revocations = Revocations.of_folder(self.onboard, RIGHTS)
 
     async def begin(self, **options: Any) -> None:
         since = self.revocations.since
@@ -593,16 +589,12 @@ async def test_an_agent_looks_for_a_list_each_second_and_leaves_nothing_behind()
 
 
 async def test_a_file_is_read_when_it_was_written_anew_and_kept_for_all_to_read(
-    tmp_path: Path,
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path, written = tmp_path / LIST, list[Any]()
+    path, written = tmp_path / LIST, MagicMock(wraps=replace_file)
+    monkeypatch.setattr(revocations, "replace_file", written)
     assert Revocations(MagicMock())._written() is None, "it is kept nowhere"
-
-    async def apart(work: Callable[..., Any], *given: Any) -> Any:
-        written.append(given)
-        return work(*given)
-
-    one = Revocations(MagicMock(), path, apart=apart)
+    one = Revocations(MagicMock(), path)
     assert one._written() is None
     path.write_bytes(b"first")
     assert (one._written(), one._written()) == (b"first", None)
@@ -615,7 +607,7 @@ async def test_a_file_is_read_when_it_was_written_anew_and_kept_for_all_to_read(
     one.revoked = Revoked(1, {}, b"in force")
     for _ in range(2):
         await one.keep()
-    assert written == [(path, b"in force")], "once"
+    written.assert_called_once_with(path, b"in force", mode=0o666)
     assert path.read_bytes() == b"in force"
     mask = os.umask(0)
     os.umask(mask)

@@ -26,8 +26,6 @@ _ANSWER_S = 2.0
 _AGAIN_S = 0.2
 _MOST_AGAIN_S = 2.0
 
-_in_thread = asyncio.to_thread
-
 Progress = Callable[[int, int], None]
 """Called with the bytes of a log that are here, and the bytes that there will be."""
 
@@ -65,9 +63,9 @@ class LogFetcher:
     ) -> Fetched:
         """See :meth:`m100link.apps.fleet.FleetAircraft.fetch_log`."""
         entry = await self._entry(log)
-        part = await _in_thread(words.LogPart, Path(to), f"{self._keys.name}-{entry.log}")
+        part = await asyncio.to_thread(words.LogPart, Path(to), f"{self._keys.name}-{entry.log}")
         try:
-            await _in_thread(part.open, entry.size)
+            await asyncio.to_thread(part.open, entry.size)
             return await self._fetch(entry, part, progress or ignore)
         except M100Error as error:
             raise _with_rest(error, part, entry.size) from error
@@ -98,24 +96,24 @@ class LogFetcher:
     async def _fetch(self, entry: LogEntry, part: words.LogPart, progress: Progress) -> Fetched:
         name, size = self._keys.name, entry.size
         fetched = Fetched(name, entry.log, part.whole, size, 0, entry.is_written)
-        if await _in_thread(part.whole.exists):
+        if await asyncio.to_thread(part.whole.exists):
             have = await self._same(entry, part)
             if have == size:
                 progress(size, size)
                 return fetched
-            await _in_thread(part.take_up)
+            await asyncio.to_thread(part.take_up)
         at = began_at = part.at
         while True:
             progress(at, size)
             while at < size:
                 data = await self._piece(entry.log, at, min(PIECE, size - at))
-                await _in_thread(part.add, data)
+                await asyncio.to_thread(part.add, data)
                 at += len(data)
                 progress(at, size)
-            if await self._digest(entry.log, size) == await _in_thread(part.digest):
-                await _in_thread(part.finish)
+            if await self._digest(entry.log, size) == await asyncio.to_thread(part.digest):
+                await asyncio.to_thread(part.finish)
                 return replace(fetched, came=size - began_at)
-            await _in_thread(part.forget)
+            await asyncio.to_thread(part.forget)
             if not began_at:
                 raise FleetError(
                     f"the copy of {entry.log} differs from the log of {name}",
@@ -126,7 +124,7 @@ class LogFetcher:
 
     async def _same(self, entry: LogEntry, part: words.LogPart) -> int:
         """How many bytes of the log were fetched before."""
-        have, digest = await _in_thread(part.whole_digest)
+        have, digest = await asyncio.to_thread(part.whole_digest)
         if have > entry.size or await self._digest(entry.log, have) != digest:
             raise UsageError(
                 f"{part.whole} is there already, and is another log",

@@ -39,23 +39,6 @@ _DIGEST_S = 0.5
 _MOST_DIGESTS = 8
 
 
-class OwnThreads:
-    """Threads of its own: a disk that hangs must not hold up what others have threads for.
-
-    One for the digest that is made at a time, one for everything else.
-    """
-
-    def __init__(self, name: str) -> None:
-        self._threads = ThreadPoolExecutor(2, thread_name_prefix=name)
-
-    async def do(self, work: Callable[[], T]) -> T:
-        return await asyncio.get_running_loop().run_in_executor(self._threads, work)
-
-    def close(self) -> None:
-        """Do nothing more; work that has begun is not waited for."""
-        self._threads.shutdown(wait=False, cancel_futures=True)
-
-
 class LogService:
     """One aircraft's end. Raises UsageError: nothing could ever leave at that rate."""
 
@@ -68,7 +51,6 @@ class LogService:
         # Looks at each question; without it the router alone decides who may ask.
         verify: Verify | None = None,
         rate: float = RATE,  # bytes a second, at most
-        apart: OwnThreads | None = None,  # where the disk is waited for
     ) -> None:
         if not rate > 0.0:
             raise UsageError(f"logs cannot leave at {rate:g} bytes/s", remedy="more than 0")
@@ -80,7 +62,8 @@ class LogService:
         self._background = TaskSet()
         self._waiting = 0
         self._is_ended = False
-        self._apart = apart or OwnThreads(f"logs of {keys.name}")
+        # A disk that hangs must not hold up what others have threads for. One makes the digest.
+        self._threads = ThreadPoolExecutor(2, thread_name_prefix=f"logs of {keys.name}")
         self._digests: OrderedDict[tuple[str, int], asyncio.Task[bytes]] = OrderedDict()
         self.dropped = 0  # questions of a flood that were not read
         self._doing: dict[What, Callable[[LogQuestion, OrderMessage], Awaitable[bytes]]] = {
@@ -101,7 +84,10 @@ class LogService:
 
     def _end(self) -> None:
         self._is_ended = True
-        self._apart.close()
+        self._threads.shutdown(wait=False, cancel_futures=True)
+
+    async def _apart(self, work: Callable[[], T]) -> T:
+        return await asyncio.get_running_loop().run_in_executor(self._threads, work)
 
     def _on_question(self, question: Question) -> None:
         if self._waiting >= _MOST_WAITING:
@@ -142,13 +128,13 @@ class LogService:
     async def _list(self, question: LogQuestion, order: OrderMessage) -> bytes:
         if again := await self._may_go(_LIST_COSTS):
             return self._reply(order, again_s=again)
-        return self._reply(order, words.pack_entries(await self._apart.do(self._directory.entries)))
+        return self._reply(order, words.pack_entries(await self._apart(self._directory.entries)))
 
     async def _piece(self, question: LogQuestion, order: OrderMessage) -> bytes:
         if again := await self._may_go(question.length):
             return self._reply(order, again_s=again)
         log, offset, length = question.log, question.offset, question.length
-        data, entry = await self._apart.do(lambda: self._directory.piece(log, offset, length))
+        data, entry = await self._apart(lambda: self._directory.piece(log, offset, length))
         is_written = entry.is_written
         return self._reply(order, data, offset=offset, size=entry.size, is_written=is_written)
 
@@ -160,7 +146,7 @@ class LogService:
             if any(not one.done() for one in self._digests.values()):
                 return self._reply(order, again_s=_DIGEST_S)
             digest = partial(self._directory.digest, *wanted, lambda: not self._is_ended)
-            task = self._background.spawn(self._apart.do(digest), f"digest of {question.log}")
+            task = self._background.spawn(self._apart(digest), f"digest of {question.log}")
             self._digests[wanted] = task
             while len(self._digests) > _MOST_DIGESTS:
                 self._digests.popitem(last=False)

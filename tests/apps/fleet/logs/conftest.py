@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-import asyncio
 import random
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import pytest
 
 from m100link.apps.fleet.asking import Asker
 from m100link.apps.fleet.keys import Keys
-from m100link.apps.fleet.logs import fetching
 from m100link.apps.fleet.logs.fetching import LogFetcher
-from m100link.apps.fleet.logs.service import LogService, OwnThreads
+from m100link.apps.fleet.logs.service import LogService
 from tests.apps.bus.memory import MemoryBus, MemoryNetwork
 from tests.apps.fleet.conftest import UTC
-
-T = TypeVar("T")
 
 FIRST, SECOND = "m100link-20260101-000000.mcap", "m100link-20260101-000001.mcap"
 KEYS = Keys("field", "a1")
@@ -38,20 +33,6 @@ def directory(tmp_path: Path) -> Path:
     return folder
 
 
-class AtOnce(OwnThreads):
-    """A disk that nobody waits for: on virtual time a thread would take hours."""
-
-    def __init__(self) -> None:
-        """It has no threads."""
-
-    async def do(self, work: Callable[[], T]) -> T:
-        await asyncio.sleep(0.001)
-        return work()
-
-    def close(self) -> None:
-        """Nothing is held."""
-
-
 class Road:
     """An aircraft's logs at one end of a network, and who fetches at the other."""
 
@@ -63,7 +44,7 @@ class Road:
         self.token = self.onboard.declare(KEYS.live_by(self.onboard.session))
 
     def service(self, **options: Any) -> LogService:
-        return LogService(self.onboard, KEYS, self.directory, **{"apart": AtOnce()} | options)
+        return LogService(self.onboard, KEYS, self.directory, **options)
 
     def asker(self, bus: MemoryBus | None = None, **options: Any) -> Asker:
         return Asker(bus or self.here, KEYS, "anna", **{"utc": lambda: UTC} | options)
@@ -73,9 +54,5 @@ class Road:
 
 
 @pytest.fixture
-async def road(directory: Path, monkeypatch: pytest.MonkeyPatch) -> Road:
-    async def at_once(work: Callable[..., object], *arguments: object) -> object:
-        return work(*arguments)
-
-    monkeypatch.setattr(fetching, "_in_thread", at_once)
+async def road(directory: Path) -> Road:
     return Road(directory)

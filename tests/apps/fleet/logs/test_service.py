@@ -8,13 +8,12 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import replace
 from typing import Any
-from unittest.mock import MagicMock
 
 import anyio
 import pytest
 
 from m100link.apps.fleet.keys import Keys
-from m100link.apps.fleet.logs.service import LogService, OwnThreads
+from m100link.apps.fleet.logs.service import LogService
 from m100link.apps.fleet.logs.words import (
     MOST_PIECE,
     LogReply,
@@ -22,7 +21,6 @@ from m100link.apps.fleet.logs.words import (
 )
 from m100link.apps.fleet.payloads import AskShow, LogQuestion, OrderMessage, Outcome, What, pack
 from m100link.errors import NotAllowed, UsageError
-from m100link.log.folder import LogDirectory
 from tests.apps.fleet.logs.conftest import FIRST, KEYS, Road, bytes_of
 
 pytestmark = pytest.mark.anyio
@@ -187,22 +185,17 @@ async def test_junk_is_answered_or_dropped_and_ends_nothing(road: Road) -> None:
         assert (await asked(road, LogQuestion(What.PIECE, FIRST, 0, 5)))[1] == bytes_of(300_000)[:5]
 
 
-async def test_the_disk_is_waited_for_in_threads_of_their_own() -> None:
-    threads = OwnThreads("logs of a1")
-    name = await threads.do(lambda: threading.current_thread().name)
-    assert name.startswith("logs of a1")
-    with pytest.raises(UsageError):
-        await threads.do(lambda: LogDirectory(None).piece(FIRST, 0, 1))
-    threads.close()
+async def test_the_disk_is_waited_for_in_threads_of_their_own_that_end_with_it(road: Road) -> None:
+    async with serving(road) as service:
+        name = await service._apart(lambda: threading.current_thread().name)
+        assert name.startswith("logs of a1")
+    with pytest.raises(RuntimeError, match="after shutdown"):
+        await service._apart(threading.get_ident)
 
 
-async def test_its_end_is_that_of_its_threads_and_of_a_digest_that_is_being_made(
-    road: Road,
-) -> None:
-    threads = MagicMock(wraps=OwnThreads("logs of a1"))
-    async with serving(road, apart=threads) as service:
-        threads.close.assert_not_called()
-    threads.close.assert_called_once_with()
+async def test_its_end_is_that_of_a_digest_that_is_being_made(road: Road) -> None:
+    async with serving(road) as service:
+        assert service._directory.digest(FIRST, 300_000, lambda: not service._is_ended)
     with pytest.raises(UsageError, match="the agent ends"):
         service._directory.digest(FIRST, 300_000, lambda: not service._is_ended)
 
