@@ -7,7 +7,6 @@ be read is counted, and nothing else happens.
 from __future__ import annotations
 
 import math
-import os
 import re
 from collections.abc import Awaitable, Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -35,9 +34,9 @@ class PublishedTopic:
 
     __slots__ = ("_gid", "_kind", "_outlet", "_sequence", "_utc", "is_wanted")
 
-    def __init__(self, outlet: Outlet, kind: str, utc: Callable[[], float]) -> None:
+    def __init__(self, outlet: Outlet, kind: str, token: str, utc: Callable[[], float]) -> None:
         self._outlet, self._kind, self._utc = outlet, kind, utc
-        self._gid = os.urandom(graph.GID_SIZE)
+        self._gid = graph.gid_of(token)
         self._sequence = 0
         self.is_wanted = outlet.is_wanted()  # whether anybody listens, as of the last look
 
@@ -96,16 +95,17 @@ class Endpoints:
         # Tokens end when nobody holds them.
         self._tokens: list[Held] = [bus.declare(name.token)]
 
-    def _show(self, end: graph.EntityKind, topic: str, kind: str, qos: graph.Qos) -> None:
+    def _show(self, end: graph.EntityKind, topic: str, kind: str, qos: graph.Qos) -> str:
         self._count += 1
         token = self._name.token_of(self._count, end, topic, kind, qos)
         self._tokens.append(self._bus.declare(token))
+        return token
 
     def publish(self, topic: str, kind: str, qos: graph.Qos) -> PublishedTopic:
         kept = qos.depth if qos.is_latched else 0
         outlet = self._bus.publish(graph.data_key(self._name.domain, topic, kind), kept=kept)
-        made = self.topics[topic] = PublishedTopic(outlet, kind, self._utc)
-        self._show(graph.EntityKind.PUBLISHER, topic, kind, qos)
+        token = self._show(graph.EntityKind.PUBLISHER, topic, kind, qos)
+        made = self.topics[topic] = PublishedTopic(outlet, kind, token, self._utc)
         return made
 
     def subscribe(self, topic: str, kind: str) -> Input:

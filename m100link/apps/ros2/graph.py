@@ -125,6 +125,13 @@ class Attachment:
     gid: bytes  # id of the sender; an answer has that of the request
 
 
+def gid_of(token: str) -> bytes:
+    """The id of an end, which each node reckons from its token: XXH128, low half first."""
+    from xxhash import xxh3_128_intdigest  # of the extra ``ros2``
+
+    return xxh3_128_intdigest(token.encode()).to_bytes(GID_SIZE, "little")
+
+
 def write_attachment(sequence: int, at_ns: int, gid: bytes) -> bytes:
     """The attachment of these values, see :class:`Attachment`; for each message that is sent."""
     return _HEAD.pack(sequence, at_ns, GID_SIZE) + gid

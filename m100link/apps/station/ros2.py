@@ -5,7 +5,6 @@ from __future__ import annotations
 import socket
 from collections.abc import AsyncIterator, Mapping, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager
-from importlib.util import find_spec
 
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.ros2.actions import FLIGHTS
@@ -15,6 +14,7 @@ from m100link.apps.ros2.topics import INPUTS, SERVICES
 from m100link.apps.station.config import Settings, namespace_of
 from m100link.apps.station.listeners import Fronts, beside
 from m100link.errors import UsageError
+from m100link.errors.usage import of_extra
 
 MOST_DOMAIN = 232  # the greatest domain that every middleware of ROS 2 knows
 
@@ -50,11 +50,8 @@ def check_ros2(settings: Settings, aircraft: Sequence[str] = ("",)) -> None:
     """
     if not settings.ros2:
         return
-    if find_spec("zenoh") is None:
-        raise UsageError(
-            "ROS 2 needs zenoh, which is not installed",
-            remedy="pip install '.[ros2]' in a clone of m100link",
-        )
+    for module in ("zenoh", "xxhash"):
+        of_extra(module, "ROS 2", "ros2")
     if not 0 <= settings.ros2_domain <= MOST_DOMAIN:
         raise UsageError(
             f"there is no domain {settings.ros2_domain}", remedy=f"choose 0 to {MOST_DOMAIN}"

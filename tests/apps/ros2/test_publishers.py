@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable
 from itertools import pairwise
 from random import Random
@@ -176,6 +177,20 @@ async def test_each_message_is_counted_by_its_publisher(rig: Rig) -> None:
     assert len({one.gid for one in attachments}) == 1
     first = [outlet.sent[0][1] for outlet in rig.bus.outlets.values() if outlet.sent]
     assert len({read_attachment(one).gid for one in first}) == len(first)
+
+
+async def test_a_message_has_the_gid_that_others_reckon_from_the_token(rig: Rig) -> None:
+    """As ``Entity`` of rmw_zenoh's liveliness_utils.cpp: XXH128 of the key, its low half first."""
+    xxhash = pytest.importorskip("xxhash", reason="the extra ros2 brings it")
+    for name in ("~/odom", "/tf", "/rosout"):
+        [token] = [
+            one
+            for one in rig.bus.tokens
+            if f"/MP/%/%/m100/{rig.names.full(name).replace('/', '%')}/" in one
+        ]
+        high, low = struct.unpack(">QQ", xxhash.xxh3_128_digest(token.encode()))
+        gid = read_attachment(rig.outlet(name).sent[0][1]).gid
+        assert gid == struct.pack("<QQ", low, high), name
 
 
 # -- what /diagnostics says, and that it says it when something is wrong ---------------------------
