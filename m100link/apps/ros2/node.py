@@ -15,7 +15,17 @@ from m100link.apps.agent.orders import CameraUse, StartMotors, StopMotors, UseCa
 from m100link.apps.bus.network import PolledBus
 from m100link.apps.bus.session import LARGEST, Opening, ZenohBus, open_session
 from m100link.apps.ros2.actions import Actions
-from m100link.apps.ros2.control import LIFETIME, Frames, RosControl, speed, toward
+from m100link.apps.ros2.control import (
+    LIFETIME,
+    Frames,
+    GimbalServices,
+    Parameters,
+    RosControl,
+    angles_of,
+    mission_services,
+    speed,
+    toward,
+)
 from m100link.apps.ros2.endpoints import (
     Call,
     Endpoints,
@@ -27,7 +37,6 @@ from m100link.apps.ros2.endpoints import (
 )
 from m100link.apps.ros2.graph import ADMIN, GraphDiscovery, Names, NodeName
 from m100link.apps.ros2.publishers import ALL_OUTPUTS, MessageMaker
-from m100link.apps.ros2.services import GimbalServices, Parameters, angles_of, mission_services
 from m100link.apps.ros2.topics import DJI_OUTPUTS, INPUTS, SERVICES
 from m100link.errors import M100Error, UsageError
 from m100link.protocol.records import Position

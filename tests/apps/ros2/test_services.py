@@ -13,8 +13,8 @@ import anyio
 import pytest
 
 from m100link.apps.ros2 import MESSAGES
-from m100link.apps.ros2.services import ACTIONS as MISSION_ACTIONS
-from m100link.apps.ros2.services import GimbalServices, angles_of, plan_of, rates_of
+from m100link.apps.ros2.control import ACTIONS as MISSION_ACTIONS
+from m100link.apps.ros2.control import GimbalServices, angles_of, plan_of, rates_of
 from m100link.geodesy import LocalFrame
 from m100link.log.cdr import ACTIONS, DEFINITIONS, OWN_PACKAGE, SERVICES, full_name, type_hash
 from m100link.missions.waypoint import AtEnd, Heading, OnRCLoss, Stay, TakePhoto, Trace

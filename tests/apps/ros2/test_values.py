@@ -29,7 +29,7 @@ from m100link.apps.agent.messages import (
     Telemetry,
 )
 from m100link.apps.agent.orders import FlyTo, GuidedFlight
-from m100link.apps.ros2 import actions, control, endpoints, node, services
+from m100link.apps.ros2 import actions, control, endpoints, node
 from m100link.apps.ros2.actions import FLIGHTS
 from m100link.apps.ros2.graph import data_key
 from m100link.apps.ros2.publishers import ALL_OUTPUTS
@@ -78,7 +78,7 @@ MANUAL = [
     (control, "LIFETIME", 0.3),
     (control, "IDLE_S", 60.0),
     (actions, "FEEDBACK_S", 0.5),
-    (services, "MOST_HZ", 100.0),
+    (control, "MOST_HZ", 100.0),
     (endpoints, "ASK_S", 0.5),
     (endpoints, "SILENCE_S", 1.5),
     (node, "MOST_BYTES", 32_768),
