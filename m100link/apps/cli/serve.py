@@ -462,7 +462,14 @@ async def mavlink(*url: Urls, options: MavlinkOptions = MavlinkOptions()) -> int
 # -- ``m100link ros2``: aircraft as nodes of ROS 2, for RViz, Nav2, rosbag2 and every program ------
 
 
-_OF_THE_NODE = ("ros2_namespace", "ros2_node", "ros2_domain", "ros2_remap", "ros2_dji_names")
+_OF_THE_NODE = (
+    "ros2_rmw",
+    "ros2_namespace",
+    "ros2_node",
+    "ros2_domain",
+    "ros2_remap",
+    "ros2_dji_names",
+)
 
 
 @Parameter(name="*")
@@ -483,7 +490,8 @@ async def ros2(*url: Urls, options: Ros2Options = Ros2Options()) -> int:
 
     Programs with RMW_IMPLEMENTATION=rmw_zenoh_cpp see and fly the aircraft, by the router at
     localhost:7447 or that of ZENOH_SESSION_CONFIG_URI and ZENOH_CONFIG_OVERRIDE. Every program that
-    reaches this router can fly.
+    reaches this router can fly. With --rmw dds, which needs rclpy, programs on Fast DDS or Cyclone
+    do, and everybody in that network can fly.
     """
     return await run_station(
         aircraft_of(options, url, ros2=True), options.run, with_rosbridge=False

@@ -22,6 +22,9 @@ from m100link.log.cdr import DEFINITIONS, SERVICES, decode, describe, encode, fu
 
 _DEPTH = 8  # messages of a topic, and requests to a service, that wait for a step
 
+_NEWEST = graph.Qos(is_reliable=False, depth=_DEPTH)
+"""Of what is heard: DDS then takes it of every publisher, and repeats no lost setpoint late."""
+
 _AT_ONCE = 8
 """Requests to one service that are carried out at once, but for those that end something."""
 
@@ -102,15 +105,15 @@ class Endpoints:
         return token
 
     def publish(self, topic: str, kind: str, qos: graph.Qos) -> PublishedTopic:
+        token = self._show(graph.EntityKind.PUBLISHER, topic, kind, qos)
         kept = qos.depth if qos.is_latched else 0
         outlet = self._bus.publish(graph.data_key(self._name.domain, topic, kind), kept=kept)
-        token = self._show(graph.EntityKind.PUBLISHER, topic, kind, qos)
         made = self.topics[topic] = PublishedTopic(outlet, kind, token, self._utc)
         return made
 
     def subscribe(self, topic: str, kind: str) -> Input:
+        self._show(graph.EntityKind.SUBSCRIBER, topic, kind, _NEWEST)
         inbox = self._bus.inbox(graph.data_key(self._name.domain, topic, kind), _DEPTH)
-        self._show(graph.EntityKind.SUBSCRIBER, topic, kind, graph.Qos())
         return Input(inbox, kind, partial(self._refuse, topic))
 
     def serve(
@@ -124,9 +127,9 @@ class Endpoints:
     ) -> None:
         """Offer a service; requests beyond so many at once are not answered, unless it ends."""
         key = graph.data_key(self._name.domain, topic, kind)
+        self._show(graph.EntityKind.SERVER, topic, kind, graph.Qos())
         requests = self._bus.questions(key, _DEPTH)
         self._services.append(_Service(topic, kind, key, requests, call, at_once, ends))
-        self._show(graph.EntityKind.SERVER, topic, kind, graph.Qos())
 
     def _refuse(self, topic: str, why: str) -> None:
         self.refused += 1

@@ -99,6 +99,7 @@ class Settings:
         signing_key_file: File with the MAVLink signing key: 64 hex digits, readable by you alone.
             Messages that are not signed with it move nothing.
         ros2: Run a ROS 2 node: every program in its graph can fly.
+        ros2_rmw: Middleware of the graph: zenoh, or dds (Fast DDS, Cyclone) by an installed rclpy.
         ros2_namespace: Namespace of the node, such as /drones.
         ros2_node: Name of the node; its private names stand below it: /m100/imu.
         ros2_domain: Domain id of the graph.
@@ -152,6 +153,7 @@ class Settings:
     autopilot: str = "px4"
     signing_key_file: Path | None = None
     ros2: bool = False
+    ros2_rmw: str = "zenoh"
     ros2_namespace: str = "/"
     ros2_node: str = ONLY_NAME
     ros2_domain: int = 0

@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import socket
 from collections.abc import AsyncIterator, Mapping, Sequence
-from contextlib import AsyncExitStack, asynccontextmanager
+from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager
+from importlib.util import find_spec
 
 from m100link.apps.agent.client import AgentClient
+from m100link.apps.bus.session import ZenohBus
 from m100link.apps.ros2.actions import FLIGHTS
+from m100link.apps.ros2.dds import DdsBus, no_rclpy, open_dds
 from m100link.apps.ros2.graph import Names
-from m100link.apps.ros2.node import Node, open_ros2
+from m100link.apps.ros2.node import MOST_BYTES, Node, open_ros2
 from m100link.apps.ros2.topics import INPUTS, SERVICES
 from m100link.apps.station.config import Settings, namespace_of
 from m100link.apps.station.listeners import Fronts, beside
 from m100link.errors import UsageError
 from m100link.errors.usage import of_extra
 
+RMW = ("zenoh", "dds")
 MOST_DOMAIN = 232  # the greatest domain that every middleware of ROS 2 knows
 
 
@@ -50,8 +54,15 @@ def check_ros2(settings: Settings, aircraft: Sequence[str] = ("",)) -> None:
     """
     if not settings.ros2:
         return
-    for module in ("zenoh", "xxhash"):
-        of_extra(module, "ROS 2", "ros2")
+    if settings.ros2_rmw not in RMW:
+        raise UsageError(
+            f"there is no middleware {settings.ros2_rmw!r}", remedy=f"choose {' or '.join(RMW)}"
+        )
+    of_extra("xxhash", "ROS 2", "ros2")
+    if settings.ros2_rmw == "zenoh":
+        of_extra("zenoh", "ROS 2", "ros2")
+    elif find_spec("rclpy") is None:
+        raise no_rclpy("it is not installed")
     if not 0 <= settings.ros2_domain <= MOST_DOMAIN:
         raise UsageError(
             f"there is no domain {settings.ros2_domain}", remedy=f"choose 0 to {MOST_DOMAIN}"
@@ -82,7 +93,10 @@ async def serving_ros2(
     Raises ``UsageError``: the session cannot be.
     """
     names = nodes_of(settings, list(agents))
-    async with open_ros2() as bus:
+    session: AbstractAsyncContextManager[ZenohBus | DdsBus] = (
+        open_dds(settings.ros2_domain, MOST_BYTES) if settings.ros2_rmw == "dds" else open_ros2()
+    )
+    async with session as bus:
         nodes = [
             Node(
                 agent,
@@ -95,5 +109,8 @@ async def serving_ros2(
             )
             for number, (name, agent) in enumerate(agents.items())
         ]
+        for package, ends in bus.missing.items() if isinstance(bus, DdsBus) else ():
+            for agent in agents.values():
+                agent.note(f"no {', '.join(ends)}: {package} is not built here", "warning")
         async with beside({f"m100link station: {node.name.full}": node.run() for node in nodes}):
             yield nodes

@@ -1,0 +1,351 @@
+"""The node on DDS: rclpy, of an installed ROS 2 or of wheels, as the bus that a node speaks on.
+
+A node declares rmw_zenoh's tokens, which say everything of an end: of each, rclpy makes one here.
+Nothing of rclpy runs by itself: its queues are emptied at each step, as zenoh's rings are, and it
+handles no signal.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import logging
+import os
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import asynccontextmanager, contextmanager
+from functools import partial
+from importlib import import_module
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Generic, TypeVar
+
+from m100link.apps.bus.network import Held, Inbox, Outlet, Question, Received, TokenChange
+from m100link.apps.ros2.graph import EntityKind, NodeName, Qos, read_token, write_attachment
+from m100link.errors import UsageError
+from m100link.log.cdr import OWN_PACKAGE, decode
+
+_logger = logging.getLogger(__name__)
+
+T = TypeVar("T")
+
+WHEELS = "pip install 'ros-jazzy-rclpy[fastrtps]' ros-jazzy-common-interfaces"
+
+_GOALS, _FEEDBACK = "/_action/send_goal", "/_action/feedback"
+_OF_ACTION = {"SendGoal": "SendGoalService", "GetResult": "GetResultService"}
+
+_PROFILES = """<profiles xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">
+<data_writer profile_name="m100link" is_default_profile="true"><times><heartbeatPeriod>
+<nanosec>200000000</nanosec></heartbeatPeriod></times></data_writer></profiles>"""
+"""Fast DDS asks listeners every 3 s whether they have everything: too seldom for a flight."""
+
+_PROFILES_BY = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
+
+
+class _Allocator(ctypes.Structure):
+    """rcutils_allocator_t: four functions, and what they share."""
+
+    _fields_ = (("parts", ctypes.c_void_p * 5),)
+
+
+class _Bytes(ctypes.Structure):
+    """rcutils_uint8_array_t."""
+
+    _fields_ = (
+        ("buffer", ctypes.c_void_p),
+        ("length", ctypes.c_size_t),
+        ("capacity", ctypes.c_size_t),
+        ("allocator", _Allocator),
+    )
+
+
+class _Info(ctypes.Structure):
+    """rmw_message_info_t, and room for what a later version adds."""
+
+    _fields_ = (
+        ("source_ns", ctypes.c_int64),
+        ("received_ns", ctypes.c_int64),
+        ("sequence", ctypes.c_uint64),
+        ("received", ctypes.c_uint64),
+        ("middleware", ctypes.c_char_p),
+        ("gid", ctypes.c_ubyte * 16),
+        ("room", ctypes.c_ubyte * 64),
+    )
+
+
+class _Polled(Generic[T]):
+    """An inbox of what is there when it is asked."""
+
+    def __init__(self, take: Callable[[], list[T]]) -> None:
+        self.take = take
+
+    @classmethod
+    def one_by_one(cls, take: Callable[[], T | None], depth: int) -> _Polled[T]:
+        def all_of_it() -> list[T]:
+            found: list[T] = []
+            while len(found) < depth and (one := take()) is not None:
+                found.append(one)
+            return found
+
+        return cls(all_of_it)
+
+
+class _Outlet(Outlet):
+    def __init__(self, publisher: Any = None) -> None:
+        self._publisher: Any = publisher  # None where its type is not built here
+
+    def put(self, payload: bytes, attachment: bytes | None = None) -> None:
+        if self._publisher is not None:
+            try:
+                self._publisher.publish(payload)
+            except RuntimeError as error:  # rclpy's own: it has ended
+                _logger.debug("not sent: %s", error)
+
+    def is_wanted(self) -> bool:
+        return self._publisher is not None and self._publisher.get_subscription_count() > 0
+
+    def close(self) -> None:
+        self._publisher = None  # it ends with its node
+
+
+class DdsBus:
+    """A :class:`m100link.apps.bus.network.PolledBus` of rclpy, in one domain."""
+
+    session = "0"  # of this process, in the tokens that stand for the graph
+
+    def __init__(self, rclpy: Any, context: Any, domain: int, largest: int) -> None:
+        self._rclpy, self._context = rclpy, context
+        self._domain, self._largest = domain, largest
+        self._nodes: dict[str, Any] = {}  # by their full names
+        self._ends: dict[str, Any] = {}  # what was declared last, by topic or service
+        self._goals: dict[str, str] = {}  # services that take goals, with their types
+        self._feedback: list[Any] = []  # publishers to which clients of goals listen
+        self._clients: dict[bytes, str] = {}  # tokens by the gids of those clients
+        # Topics and services whose types are not built here, by the package of those types.
+        self.missing: dict[str, list[str]] = {}
+        self._rcl = ctypes.CDLL("librcl.so")  # which rclpy has loaded
+        self._rcl.rcl_take_serialized_message.argtypes = [ctypes.c_void_p] * 4
+        self._taken, self._info = _Bytes(), _Info()
+        default = ctypes.CDLL("librcutils.so").rcutils_get_default_allocator
+        default.restype = _Allocator
+        self._taken.allocator = default()
+
+    # -- what a node has: each end is made when it is declared -----------------------------------
+
+    def declare(self, token: str) -> Held:
+        seen, parts = read_token(token), token.split("/")
+        if seen is None:
+            raise ValueError(f"{token!r} is no token")
+        if seen.end is EntityKind.NODE:
+            self._nodes[seen.node_name] = self._node(*seen.node_name.rpartition("/")[::2])
+            return _Outlet()
+        *_, kind, _, qos = parts
+        kind = kind.replace("::dds_", "").replace("::", "/").removesuffix("_")
+        makers = {
+            EntityKind.PUBLISHER: self._publisher,
+            EntityKind.SUBSCRIBER: self._subscriber,
+            EntityKind.SERVER: self._server,
+        }
+        self._ends[seen.topic] = None
+        try:
+            found = self._type(kind)
+            made = makers[seen.end](self._nodes[seen.node_name], found, seen.topic, qos)
+        except Exception as error:  # noqa: BLE001 - rosidl's loaders raise classes of their own
+            _logger.debug("%s: %s is not built here: %r", seen.topic, kind, error)
+            self.missing.setdefault(kind.partition("/")[0], []).append(seen.topic)
+        else:
+            self._ends[seen.topic] = made
+            if seen.topic.endswith(_GOALS):
+                self._goals[seen.topic] = kind
+            if seen.topic.endswith(_FEEDBACK):
+                self._feedback.append(made)
+        return _Outlet()
+
+    def _type(self, kind: str) -> Any:
+        """The class of a type. Raises ValueError: it is built of other definitions than ours."""
+        package, folder, name = kind.split("/")
+        name, _, part = name.partition("_")
+        found = getattr(import_module(f"{package}.{folder}"), name)
+        found = getattr(found.Impl, _OF_ACTION.get(part, part)) if part else found
+        halves = ("Request", "Response") if hasattr(found, "Request") else ()
+        parts = {f"{kind}_{half}": getattr(found, half) for half in halves} or {kind: found}
+        for name, one in parts.items():
+            if package == OWN_PACKAGE:
+                ours = decode(
+                    name.replace("/msg/", "/"), self._rclpy.serialization.serialize_message(one())
+                )
+                if list(ours) != list(one.get_fields_and_field_types()):
+                    raise ValueError(f"{name} is built of an older definition")
+        return found
+
+    def _node(self, namespace: str, name: str) -> Any:
+        own = self._rclpy.parameter.Parameter("start_type_description_service", value=False)
+        return self._rclpy.create_node(
+            name,
+            namespace=namespace or "/",
+            context=self._context,
+            # The node serves parameters and logs by itself, as it does on zenoh.
+            use_global_arguments=False,
+            enable_rosout=False,
+            start_parameter_services=False,
+            parameter_overrides=[own],
+        )
+
+    def _qos(self, text: str) -> Any:
+        """Of a token: ``reliability:durability:history,depth:…``, a default left empty."""
+        qos, (reliability, durability, history, *_) = self._rclpy.qos, text.split(":")
+        best, latched = qos.ReliabilityPolicy.BEST_EFFORT, qos.DurabilityPolicy.TRANSIENT_LOCAL
+        return qos.QoSProfile(
+            depth=int(history.partition(",")[2]),
+            reliability=best if reliability == "2" else qos.ReliabilityPolicy.RELIABLE,
+            durability=latched if durability == "1" else qos.DurabilityPolicy.VOLATILE,
+        )
+
+    def _publisher(self, node: Any, kind: Any, topic: str, qos: str) -> Any:
+        return node.create_publisher(kind, topic, self._qos(qos))
+
+    def _subscriber(self, node: Any, kind: Any, topic: str, qos: str) -> Any:
+        return node.create_subscription(kind, topic, _nothing, self._qos(qos), raw=True)
+
+    def _server(self, node: Any, kind: Any, topic: str, _: str) -> Any:
+        return node.create_service(kind, topic, _nothing)
+
+    def _end(self, key: str) -> Any:
+        """The end of a key, which is ``domain/topic/type/hash``."""
+        return self._ends["/" + "/".join(key.split("/")[1:-2])]
+
+    # -- what goes through its ends ---------------------------------------------------------------
+
+    def publish(self, key: str, *, kept: int = 0) -> Outlet:
+        return _Outlet(self._end(key))
+
+    def inbox(self, pattern: str, depth: int) -> Inbox[Received]:
+        end = self._end(pattern)
+        return _Polled.one_by_one(partial(self._received, end) if end else _nothing, depth)
+
+    def _received(self, end: Any) -> Received | None:
+        """The oldest that waits. rclpy hides its sender; rcl, below it, does not."""
+        taken, info = self._taken, self._info
+        if self._rcl.rcl_take_serialized_message(
+            end.handle.pointer, ctypes.byref(taken), ctypes.byref(info), None
+        ):
+            return None
+        is_read = 0 < taken.length <= self._largest
+        payload = ctypes.string_at(taken.buffer, taken.length) if is_read else b""
+        sender = write_attachment(info.sequence, max(0, info.source_ns), bytes(info.gid))
+        return Received(payload, sender)
+
+    def questions(self, key: str, depth: int) -> Inbox[Question]:
+        end = self._end(key)
+        return _Polled.one_by_one(partial(self._question, end, key) if end else _nothing, depth)
+
+    def _question(self, end: Any, key: str) -> Question | None:
+        serialization, kind = self._rclpy.serialization, end.srv_type
+        try:
+            request, header = end.handle.service_take_request(kind.Request) or (None, None)
+        except RuntimeError as error:  # rclpy's own: what came cannot be read
+            _logger.debug("%s: %s", key, error)
+            return None
+        if header is None:
+            return None
+
+        def answer(_: str, payload: bytes, attachment: bytes | None = None) -> None:
+            try:
+                end.send_response(serialization.deserialize_message(payload, kind.Response), header)
+            except RuntimeError as error:  # rclpy has ended, or the client has
+                _logger.debug("%s: not answered: %s", key, error)
+
+        payload = serialization.serialize_message(request)
+        payload = payload if len(payload) <= self._largest else b""
+        return Question(key, payload, answer, _nothing, write_attachment(0, 0, bytes(16)))
+
+    # -- the rest of the graph --------------------------------------------------------------------
+
+    def changes(self, pattern: str) -> Inbox[TokenChange]:
+        """Nodes of our names, and clients of goals: nobody asks about the rest of the graph."""
+        known: set[str] = set()
+
+        def look() -> list[TokenChange]:
+            nonlocal known
+            before, known = known, set(self._others())
+            gone = [TokenChange(one, False) for one in before - known]
+            return [*gone, *(TokenChange(one, True) for one in known - before)]
+
+        return _Polled(look)
+
+    def _others(self) -> Iterator[str]:
+        for full, node in self._nodes.items():
+            there = node.get_node_names_and_namespaces()
+            if [f"{where.rstrip('/')}/{name}" for name, where in there].count(full) > 1:
+                yield NodeName(self._domain, "1", node.get_namespace(), node.get_name()).token
+        node, clients = next(iter(self._nodes.values())), {}
+        for goals, kind in self._goals.items():
+            for one in node.get_subscriptions_info_by_topic(f"rr{goals}Reply", no_mangle=True):
+                gid = bytes(one.endpoint_gid)
+                who = NodeName(self._domain, gid[:12].hex(), one.node_namespace, one.node_name)
+                number = int.from_bytes(gid[12:], "big")
+                token = who.token_of(number, EntityKind.CLIENT, goals, kind, Qos())
+                # The name of its node comes a moment after it: that does not make it another one.
+                clients[gid] = self._clients.get(gid, token)
+        self._clients = clients
+        yield from clients.values()
+
+    def probe(self, key: str, *, timeout: float) -> Inbox[bool]:
+        """Whether each listener to the feedback of goals has all of it.
+
+        DDS misses a program that was killed after 10 to 20 s, by the leases of Cyclone and Fast
+        DDS. Until then that program acknowledges nothing.
+        """
+        now = self._rclpy.duration.Duration()
+        ends = self._feedback
+        return _Polled(lambda: [True] if all(one.wait_for_all_acked(now) for one in ends) else [])
+
+
+def _nothing(*_: object) -> None:
+    """Nothing waits, or is to be done."""
+
+
+@contextmanager
+def _asking_often() -> Iterator[None]:
+    """Have Fast DDS read :data:`_PROFILES`, unless the user has profiles."""
+    if any(os.environ.get(name) for name in _PROFILES_BY):
+        yield
+        return
+    with TemporaryDirectory(prefix="m100link-dds-") as folder:
+        path = Path(folder, "profiles.xml")
+        path.write_text(_PROFILES, encoding="utf-8")
+        os.environ |= dict.fromkeys(_PROFILES_BY, str(path))
+        try:
+            yield
+        finally:
+            for name in _PROFILES_BY:
+                del os.environ[name]
+
+
+def no_rclpy(why: str) -> UsageError:
+    return UsageError(
+        f"DDS needs rclpy: {why}",
+        cause="no ROS 2 is sourced here, and there are no wheels of it",
+        remedy=f"source a ROS 2 (Jazzy or later), or on Linux x86-64: {WHEELS}",
+    )
+
+
+@asynccontextmanager
+async def open_dds(domain: int, largest: int) -> AsyncIterator[DdsBus]:
+    """A bus on DDS while the block runs. Raises UsageError: rclpy is missing, or cannot begin."""
+    try:
+        rclpy: Any = import_module("rclpy")
+        for part in ("duration", "parameter", "qos", "serialization", "signals"):
+            import_module(f"rclpy.{part}")
+    except ImportError as error:
+        raise no_rclpy(str(error)) from error
+    with _asking_often():
+        context = rclpy.context.Context()
+        handlers = rclpy.signals.SignalHandlerOptions.NO
+        try:
+            rclpy.init(args=[], context=context, domain_id=domain, signal_handler_options=handlers)
+        except RuntimeError as error:
+            remedy = "check RMW_IMPLEMENTATION, and the variables of that middleware"
+            raise UsageError(f"rclpy cannot begin: {error}", remedy=remedy) from error
+        try:
+            yield DdsBus(rclpy, context, domain, largest)
+        finally:
+            rclpy.shutdown(context=context)

@@ -1,0 +1,362 @@
+"""The bus on DDS, on an rclpy that is made up; the real one is in ``tests/interop/ros2``."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+from collections import deque
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import pytest
+
+from m100link.apps.bus.network import TokenChange
+from m100link.apps.ros2 import dds
+from m100link.apps.ros2.graph import (
+    Attachment,
+    EntityKind,
+    NodeName,
+    Qos,
+    data_key,
+    read_attachment,
+    read_token,
+)
+from m100link.errors import UsageError
+from m100link.log.cdr import encode
+
+pytestmark = pytest.mark.anyio
+
+NAME = NodeName(7, "0", "/", "m100")
+CMD_VEL, SEND = "/m100/cmd_vel", "/m100/fly_to/_action/send_goal"
+FEEDBACK = "/m100/fly_to/_action/feedback"
+LARGEST = 1000
+
+
+class End:
+    """A publisher, a subscription or a service, with what was said of it."""
+
+    def __init__(self, kind: Any, topic: str, qos: Any = None) -> None:
+        self.kind, self.topic, self.qos, self.srv_type = kind, topic, qos, kind
+        self.sent: list[Any] = []
+        self.waiting: deque[Any] = deque()
+        self.listeners, self.is_acked, self.is_over = 0, True, False
+        self.handle = SimpleNamespace(pointer=id(self), service_take_request=self.taken)
+
+    def publish(self, payload: bytes) -> None:
+        if self.is_over:
+            raise RuntimeError("context is invalid")
+        self.sent.append(payload)
+
+    def get_subscription_count(self) -> int:
+        return self.listeners
+
+    def wait_for_all_acked(self, _: Any) -> bool:
+        return self.is_acked
+
+    def taken(self, _: Any) -> Any:
+        one = self.waiting.popleft() if self.waiting else None
+        if isinstance(one, Exception):
+            raise one
+        return one
+
+    def send_response(self, response: Any, header: Any) -> None:
+        if self.is_over:
+            raise RuntimeError("client will not receive response")
+        self.sent.append((response, header))
+
+
+class Node:
+    def __init__(self, name: str, namespace: str) -> None:
+        self.name, self.namespace = name, namespace
+        self.there = [(name, namespace)]
+        self.listening: dict[str, list[Any]] = {}
+        self.ends: dict[str, End] = {}
+
+    def get_name(self) -> str:
+        return self.name
+
+    def get_namespace(self) -> str:
+        return self.namespace
+
+    def get_node_names_and_namespaces(self) -> list[tuple[str, str]]:
+        return self.there
+
+    def get_subscriptions_info_by_topic(self, topic: str, *, no_mangle: bool) -> list[Any]:
+        assert no_mangle
+        return self.listening.get(topic, [])
+
+    def create_publisher(self, kind: Any, topic: str, qos: Any) -> End:
+        return self.ends.setdefault(topic, End(kind, topic, qos))
+
+    def create_subscription(self, kind: Any, topic: str, call: Any, qos: Any, *, raw: bool) -> End:
+        assert raw
+        assert call(b"") is None
+        return self.ends.setdefault(topic, End(kind, topic, qos))
+
+    def create_service(self, kind: Any, topic: str, _: Any) -> End:
+        return self.ends.setdefault(topic, End(kind, topic))
+
+
+class Rclpy:
+    """A world with one participant; messages are bytes, and their types have names alone."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.nodes: list[Node] = []
+        self.waiting: dict[int, deque[tuple[bytes, int, int, bytes]]] = {}
+        self.up: list[Any] = []
+        self.refuses = ""
+        self.fields = ["goal_id", "goal"]
+        self.monkeypatch = monkeypatch
+        self.module = SimpleNamespace(
+            context=SimpleNamespace(Context=object),
+            signals=SimpleNamespace(SignalHandlerOptions=SimpleNamespace(NO="no")),
+            init=self.init,
+            shutdown=lambda context: self.up.remove(context),
+            create_node=self.create_node,
+            duration=SimpleNamespace(Duration=lambda: 0),
+            parameter=SimpleNamespace(Parameter=lambda name, value: (name, value)),
+            serialization=SimpleNamespace(
+                serialize_message=lambda message: message.payload,
+                deserialize_message=lambda payload, kind: (kind, payload),
+            ),
+            qos=SimpleNamespace(
+                QoSProfile=lambda **found: found,
+                ReliabilityPolicy=SimpleNamespace(BEST_EFFORT="best", RELIABLE="reliable"),
+                DurabilityPolicy=SimpleNamespace(TRANSIENT_LOCAL="latched", VOLATILE="volatile"),
+            ),
+        )
+        monkeypatch.setattr(dds, "import_module", self.imported)
+        monkeypatch.setattr(ctypes, "CDLL", lambda _: self)
+        self.rcl_take_serialized_message: Any = lambda *what: self.taken(*what)
+        self.rcutils_get_default_allocator: Any = lambda: dds._Allocator()
+        for name in dds._PROFILES_BY:
+            monkeypatch.delenv(name, raising=False)
+
+    def imported(self, name: str) -> Any:
+        if name.startswith("rclpy"):
+            return self.module
+        if name.startswith("tf2_msgs"):
+            raise ModuleNotFoundError("No module named 'tf2_msgs'")
+        return AnyModule(name, self)
+
+    def init(self, *, context: Any, domain_id: int, signal_handler_options: str, args: Any) -> None:
+        assert (domain_id, signal_handler_options, args) == (7, "no", [])
+        self.profiles = Path(os.environ[dds._PROFILES_BY[0]]).read_text(encoding="utf-8")
+        if self.refuses:
+            raise RuntimeError(self.refuses)
+        self.up.append(context)
+
+    def create_node(self, name: str, *, namespace: str, **more: Any) -> Node:
+        assert more["parameter_overrides"] == [("start_type_description_service", False)]
+        assert not any(more[one] for one in ("enable_rosout", "start_parameter_services"))
+        self.nodes.append(Node(name, namespace))
+        return self.nodes[-1]
+
+    def taken(self, pointer: int, taken: Any, info: Any, _: None) -> int:
+        waiting = self.waiting.get(pointer)
+        if not waiting:
+            return 401  # RCL_RET_SUBSCRIPTION_TAKE_FAILED
+        payload, at_ns, sequence, gid = waiting.popleft()
+        self.held = ctypes.create_string_buffer(payload, len(payload))
+        taken._obj.buffer, taken._obj.length = ctypes.addressof(self.held), len(payload)
+        info._obj.source_ns, info._obj.sequence = at_ns, sequence
+        info._obj.gid[:] = gid
+        return 0
+
+
+class AnyModule(ModuleType):
+    """``std_srvs.srv`` and others: a class of each name."""
+
+    def __init__(self, name: str, rclpy: Rclpy) -> None:
+        super().__init__(name)
+        self.rclpy = rclpy
+
+    def __getattr__(self, name: str) -> Any:
+        def part(of: str) -> Any:
+            def made() -> Any:
+                full = f"m100_msgs/action/FlyTo_SendGoal_{of}"
+                empty = {
+                    "Request": {
+                        "goal_id": {"uuid": [0] * 16},
+                        "goal": dict.fromkeys(("latitude", "longitude", "height", "speed"), 0.0),
+                    },
+                    "Response": {"accepted": False, "stamp": {"sec": 0, "nanosec": 0}},
+                }[of]
+                return SimpleNamespace(payload=encode(full, empty))
+
+            fields = self.rclpy.fields if of == "Request" else ["accepted", "stamp"]
+            made.get_fields_and_field_types = lambda: dict.fromkeys(fields)  # type: ignore[attr-defined] # as a class has it
+            return made
+
+        halves = {"Request": part("Request"), "Response": part("Response")}
+        service = SimpleNamespace(name=name, **(halves if "srv" in self.__name__ else {}))
+        service.Impl = SimpleNamespace(SendGoalService=SimpleNamespace(**halves))
+        return service
+
+
+@pytest.fixture
+def rclpy(monkeypatch: pytest.MonkeyPatch) -> Iterator[Rclpy]:
+    with monkeypatch.context() as patched:
+        yield Rclpy(patched)
+
+
+def declared(bus: dds.DdsBus, end: EntityKind, topic: str, kind: str, qos: Qos = Qos()) -> str:  # noqa: B008 - frozen
+    bus.declare(NAME.token_of(1, end, topic, kind, qos)).close()
+    return data_key(7, topic, kind)
+
+
+async def test_a_publisher_is_one_of_rclpy(rclpy: Rclpy) -> None:
+    async with dds.open_dds(7, LARGEST) as bus:
+        bus.declare(NAME.token)
+        [node] = rclpy.nodes
+        assert (node.name, node.namespace) == ("m100", "/")
+        qos = Qos(is_reliable=False, depth=3)
+        key = declared(bus, EntityKind.PUBLISHER, "/m100/imu", "sensor_msgs/Imu", qos)
+        outlet, end = bus.publish(key), node.ends["/m100/imu"]
+        assert end.kind.name == "Imu"
+        assert end.qos == {"depth": 3, "reliability": "best", "durability": "volatile"}
+        assert not outlet.is_wanted()
+        end.listeners = 1
+        assert outlet.is_wanted()
+        outlet.put(b"one", b"attachment")
+        end.is_over = True
+        outlet.put(b"two")
+        outlet.close()
+        outlet.put(b"three")
+        assert end.sent == [b"one"]
+        latched = Qos(is_latched=True, depth=1)
+        declared(bus, EntityKind.PUBLISHER, "/rosout", "rcl_interfaces/Log", latched)
+        assert node.ends["/rosout"].qos["durability"] == "latched"
+        with pytest.raises(ValueError, match="no token"):
+            bus.declare("anything")
+    assert not rclpy.up
+    assert not set(dds._PROFILES_BY) & set(os.environ)
+    assert "<nanosec>200000000</nanosec>" in rclpy.profiles
+
+
+async def test_profiles_of_the_user_stay(rclpy: Rclpy, tmp_path: Path) -> None:
+    mine = tmp_path / "mine.xml"
+    mine.write_text("<profiles/>", encoding="utf-8")
+    rclpy.monkeypatch.setenv(dds._PROFILES_BY[0], str(mine))
+    async with dds.open_dds(7, LARGEST):
+        assert rclpy.profiles == "<profiles/>"
+
+
+async def test_a_message_comes_with_its_sender(rclpy: Rclpy) -> None:
+    async with dds.open_dds(7, LARGEST) as bus:
+        bus.declare(NAME.token)
+        key = declared(bus, EntityKind.SUBSCRIBER, CMD_VEL, "geometry_msgs/TwistStamped")
+        inbox = bus.inbox(key, 2)
+        assert inbox.take() == []
+        one, two = bytes(range(16)), bytes(range(16, 32))
+        pointer = rclpy.nodes[0].ends[CMD_VEL].handle.pointer
+        rclpy.waiting[pointer] = deque(
+            [(b"a", 5, 1, one), (b"b" * 1001, 6, 1, two), (b"c", -1, 2, one)]
+        )
+        first, long = inbox.take()
+        assert (first.payload, read_attachment(first.attachment)) == (b"a", Attachment(1, 5, one))
+        assert (long.payload, read_attachment(long.attachment).gid) == (b"", two)
+        assert read_attachment(inbox.take()[0].attachment).at_ns == 0, "a clock before 1970"
+
+
+async def test_a_request_is_answered_to_who_asked(rclpy: Rclpy) -> None:
+    async with dds.open_dds(7, LARGEST) as bus:
+        bus.declare(NAME.token)
+        key = declared(bus, EntityKind.SERVER, "/m100/land", "std_srvs/srv/Trigger")
+        inbox, end = bus.questions(key, 8), rclpy.nodes[0].ends["/m100/land"]
+        assert inbox.take() == []
+        end.waiting.append((SimpleNamespace(payload=b"asked"), "anna"))
+        [question] = inbox.take()
+        assert (question.key, question.payload) == (key, b"asked")
+        read_attachment(question.attachment)
+        question.answer(key, b"done", b"")
+        assert [(payload, who) for (_, payload), who in end.sent] == [(b"done", "anna")]
+        end.is_over = True
+        question.answer(key, b"again", b"")
+        question.drop()
+        end.waiting.extend([RuntimeError("cannot be read"), (None, None)])
+        assert inbox.take() == []
+        assert inbox.take() == []
+        end.waiting.append((SimpleNamespace(payload=b"x" * 1001), "anna"))
+        assert inbox.take()[0].payload == b""
+
+
+async def test_a_type_that_is_not_built_is_left_out_and_named(rclpy: Rclpy) -> None:
+    async with dds.open_dds(7, LARGEST) as bus:
+        bus.declare(NAME.token)
+        key = declared(bus, EntityKind.PUBLISHER, "/tf", "tf2_msgs/TFMessage")
+        outlet = bus.publish(key)
+        outlet.put(b"nowhere")
+        assert not outlet.is_wanted()
+        rclpy.fields = ["goal"]  # of another version of m100_msgs
+        key = declared(bus, EntityKind.SERVER, SEND, "m100_msgs/action/FlyTo_SendGoal")
+        assert bus.questions(key, 8).take() == []
+        key = declared(bus, EntityKind.SUBSCRIBER, "/x", "tf2_msgs/TFMessage")
+        assert bus.inbox(key, 8).take() == []
+        assert bus.missing == {"tf2_msgs": ["/tf", "/x"], "m100_msgs": [SEND]}
+
+
+async def test_clients_of_goals_and_namesakes_are_tokens(rclpy: Rclpy) -> None:
+    async with dds.open_dds(7, LARGEST) as bus:
+        bus.declare(NAME.token)
+        declared(bus, EntityKind.SERVER, SEND, "m100_msgs/action/FlyTo_SendGoal")
+        [node], changes = rclpy.nodes, bus.changes("@ros2_lv/7/**")
+        assert changes.take() == []
+        gid = bytes(range(16))
+        asker = SimpleNamespace(
+            endpoint_gid=list(gid), node_namespace="/", node_name="_NODE_NAME_UNKNOWN_"
+        )
+        node.listening[f"rr{SEND}Reply"] = [asker]
+        [there] = changes.take()
+        seen = read_token(there.key)
+        assert there.is_there
+        assert seen is not None
+        assert (seen.end, seen.topic) == (EntityKind.CLIENT, SEND)
+        assert seen.node[0] == gid[:12].hex(), "its participant"
+        asker.node_name = "pilot"  # known a moment later: it is the same one
+        assert changes.take() == []
+        node.there.append(("m100", "/"))
+        [namesake] = changes.take()
+        seen = read_token(namesake.key)
+        assert seen is not None
+        assert (seen.node_name, seen.node[0] != bus.session) == ("/m100", True)
+        node.listening.clear()
+        node.there.pop()
+        assert sorted(changes.take(), key=lambda one: one.key) == sorted(
+            [TokenChange(there.key, False), TokenChange(namesake.key, False)],
+            key=lambda one: one.key,
+        )
+
+
+async def test_who_listens_to_feedback_and_takes_none_does_not_answer(rclpy: Rclpy) -> None:
+    async with dds.open_dds(7, LARGEST) as bus:
+        bus.declare(NAME.token)
+        rclpy.module.serialization.serialize_message = lambda _: pytest.fail("no type of ours")
+        rclpy.monkeypatch.setattr(bus, "_type", lambda _: None)
+        declared(bus, EntityKind.PUBLISHER, FEEDBACK, "m100_msgs/action/FlyTo_FeedbackMessage")
+        probe = bus.probe("@/00/*", timeout=1.0)
+        assert probe.take() == [True]
+        rclpy.nodes[0].ends[FEEDBACK].is_acked = False
+        assert probe.take() == []
+
+
+async def test_without_rclpy_the_error_names_how_to_get_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def imported(name: str) -> Any:
+        raise ModuleNotFoundError(f"No module named {name!r}")
+
+    monkeypatch.setattr(dds, "import_module", imported)
+    with pytest.raises(UsageError, match="needs rclpy") as caught:
+        async with dds.open_dds(7, LARGEST):
+            """Not reached."""
+    assert "ros-jazzy-rclpy[fastrtps]" in str(caught.value)
+
+
+async def test_an_rclpy_that_cannot_begin_is_an_error_of_usage(rclpy: Rclpy) -> None:
+    rclpy.refuses = "failed to load librmw_x.so"
+    with pytest.raises(UsageError, match="librmw_x"):
+        async with dds.open_dds(7, LARGEST):
+            """Not reached."""
