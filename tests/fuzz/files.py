@@ -35,7 +35,6 @@ from m100link.apps.cli.telemetry import _plot_file
 from m100link.apps.doctor.line import hear
 from m100link.apps.doctor.machine import Machine
 from m100link.apps.fleet.asking import believed, clocks_of
-from m100link.apps.fleet.identity import Revoked, sign_revoked
 from m100link.apps.fleet.keys import Keys, name_in, session_in
 from m100link.apps.fleet.logs.words import (
     LogReply,
@@ -59,7 +58,7 @@ from m100link.apps.fleet.payloads import (
     unpack_steer,
 )
 from m100link.apps.fleet.pki import init
-from m100link.apps.fleet.revocations import AUTHORITY, LIST, Revocations
+from m100link.apps.fleet.revocations import AUTHORITY, LIST, Revocations, Revoked, sign_revoked
 from m100link.apps.fleet.show.conductor import _part
 from m100link.apps.fleet.show.plan.conflicts import ConflictMonitor
 from m100link.apps.fleet.show.plan.document import Show

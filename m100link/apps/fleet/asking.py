@@ -318,7 +318,7 @@ class Asker:
         return errors.OutcomeUnknown(
             f"{self.keys.name} answers, but has not heard of the order",
             cause="the router lets no such order of this identity pass, or the link loses it",
-            remedy="m100link fleet acl check FILE --who NAME, with the router's file of rights",
+            remedy="m100link fleet acl check FILE --who NAME, with the router's fleet file",
         )
 
     def _read(

@@ -6,52 +6,79 @@ whatever stands between it and the operator. Pure logic; the time is an argument
 
 from __future__ import annotations
 
-import base64
+import hashlib
+import ipaddress
 import json
 import math
 import re
-from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from pathlib import Path
 from typing import Any, Self
 
-from cryptography import x509
-from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
-from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
-from cryptography.hazmat.primitives.hashes import SHA256
 
 from m100link.apps.agent.orders import Halt, LeaseOrder, Right, Stop
 from m100link.apps.fleet.keys import NAME
 from m100link.apps.fleet.payloads import OrderMessage, StartShow, TakePlace
 from m100link.errors import NotAllowed, UsageError
-from m100link.errors.texts import read_json, read_toml
+from m100link.errors.texts import read_toml
 from m100link.link.keyfile import read_watched
+from m100link.protocol.firmware import PROFILES
 
-# -- who may do what with which aircraft: one small file, from which router and agents take it -----
+# -- one file for a fleet: its routers, its aircraft, and the rights of its operators --------------
 # ::
 #     site = "site"
+#     [router.base]
+#     hosts = ["10.0.0.1"]           # names and addresses by which the others reach it
+#     [defaults]                     # for every aircraft that does not say otherwise
+#     lost = "land"
 #     [aircraft.a1]                  # its certificate is a1, unless common_name says another one
+#     url = "/dev/ttyUSB0"
 #     [identity.anna]
-#     public_key = "64 hex digits"   # of her signing key; without one she can sign nothing
 #     fly = ["a1", "b*"]             # who may fly may stop and watch, too
 #     stop = ["*"]                   # who may stop may watch
 
 
+PKI = "pki"
+"""Folder beside the file: the certificates, the keys, and the public keys of signing keys."""
+
+PUBLIC = ".pub"
+"""Ending of the file with the public key of an operator's signing key, 64 hex digits."""
+
 _PATTERN = re.compile(rf"{NAME.pattern}\*?|\*")
 _KEY = re.compile(r"[0-9a-fA-F]{64}")
+_HOST = re.compile(r"[A-Za-z0-9]([A-Za-z0-9.-]{0,251}[A-Za-z0-9])?")
 _LARGEST = 1024 * 1024
 _FIELDS = ("common_name", "public_key", "watch", "stop", "fly")
+_TABLES = ("router", "defaults", "aircraft", "identity", "console")
+_CONSOLE = (
+    *("identity", "host", "console_port", "allow_host", "allow_origin"),
+    *("token_file", "tls_cert", "tls_key", "tiles", "video"),
+)
+_WANTED = {
+    "url": "text, such as /dev/ttyUSB0",
+    "firmware": f"one of {', '.join(PROFILES)}, as text",
+    "baud_rate": "bits per second, such as 230400",
+    "max_height": "metres, above 0",
+    "max_radius": "metres, above 0",
+    "lost": '"hover", "land" or "home"',
+    "lost_after": "seconds, 0 to 3600",
+}
+"""Settings of an aircraft, and the value of each."""
 
 
 class BadRights(
     UsageError,
     code="M100-BAD-RIGHTS",
-    cause="an unknown field or a wrong value in the file of rights, or another kind of file",
+    cause="an unknown field or a wrong value in the fleet file, or another kind of file",
     remedy="`m100link fleet acl check FILE` says what each identity may do",
 ):
-    """A file of rights with an error."""
+    """A fleet file with an error."""
+
+    line: int = 0  #: where it is, counted from 1; 0 where no line is wrong
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,15 +108,68 @@ def fits(pattern: str, aircraft: str) -> bool:
 
 
 @dataclass(frozen=True, slots=True)
+class Router:
+    """A router of the fleet, behind certificates."""
+
+    name: str  # also of its certificate
+    hosts: tuple[str, ...]  # by which the others reach it
+    port: int = 7447
+
+    def at(self, host: str) -> str:
+        """An endpoint of zenoh."""
+        return f"tls/{f'[{host}]' if ':' in host else host}:{self.port}"
+
+    @property
+    def endpoint(self) -> str:
+        """Where the others look for it."""
+        return self.at(self.hosts[0])
+
+    @property
+    def listen(self) -> str:
+        """Where it listens: on loopback, where nobody else is to reach it."""
+        is_near = all(host in ("127.0.0.1", "localhost", "::1") for host in self.hosts)
+        is_6 = ":" in self.hosts[0]
+        return self.endpoint if is_near else self.at("::" if is_6 else "0.0.0.0")
+
+
+@dataclass(frozen=True, slots=True)
 class Rights:
+    """A fleet file: routers, aircraft, their settings, and the rights of operators."""
+
     site: str  # whose aircraft they are
     aircraft: Mapping[str, str]  # name of each, and the common name of its agent's certificate
     identities: Mapping[str, Identity]
+    routers: Mapping[str, Router] = field(default_factory=dict)
+    settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # of each aircraft
+    console: Mapping[str, Any] = field(default_factory=dict)  # empty for a fleet without one
+    path: Path = field(default=Path(), compare=False)  # where the file is
+
+    @property
+    def pki(self) -> Path:
+        """The folder with the certificates."""
+        return self.path.parent / PKI
+
+    @property
+    def endpoints(self) -> tuple[str, ...]:
+        """Where agents and operators look for the routers, in turn."""
+        return tuple(router.endpoint for router in self.routers.values())
+
+    @property
+    def digest(self) -> str:
+        """The rights and keys in 16 hex digits: others have another one."""
+        people = [
+            [name, one.common_name, (one.public_key or b"").hex()]
+            + [sorted(one.patterns[right]) for right in Right]
+            for name, one in sorted(self.identities.items())
+        ]
+        said = json.dumps([self.site, sorted(self.aircraft.items()), people])
+        return hashlib.sha256(said.encode()).hexdigest()[:16]
 
     def without(self, names: Collection[str]) -> Self:
-        """The same without identities and aircraft whose name or certificate is among these."""
+        """The same without those whose name or certificate is among these."""
         return replace(
             self,
+            routers={name: one for name, one in self.routers.items() if name not in names},
             aircraft={one: cn for one, cn in self.aircraft.items() if cn not in names},
             identities={
                 name: one
@@ -117,14 +197,16 @@ class Rights:
                 f"{path} cannot be read: {error.strerror}", remedy="check its name"
             ) from error
         if len(data) > _LARGEST:
-            raise BadRights(f"{path} is too large for a file of rights", remedy="1 MiB at most")
+            raise BadRights(f"{path} is too large for a fleet file", remedy="1 MiB at most")
         try:
             text = data.decode()
         except UnicodeDecodeError as error:
             raise BadRights(
-                f"{path} is not text: {error.reason}", remedy="name the file of rights"
+                f"{path} is not text: {error.reason}", remedy="name the fleet file"
             ) from error
-        return cls.parse(text)
+        found = cls.parse(text)
+        known = {name: _keyed(one, Path(path)) for name, one in found.identities.items()}
+        return replace(found, identities=known, path=Path(path))
 
     @classmethod
     def parse(cls, text: str) -> Self:
@@ -136,174 +218,226 @@ class Rights:
         try:
             found = read_toml(text)
         except ValueError as error:
+            at = re.search(r"at line (\d+)", str(error))  # else at the end of the document
             raise BadRights(
-                f"the file of rights is not TOML: {error}", remedy="mend that line"
+                f"the fleet file is not TOML: {error}",
+                remedy="mend that line",
+                line=int(at[1]) if at else len(text.splitlines()),
             ) from error
-        _refuse_unknown(found, ("site", "aircraft", "identity"), "the file")
+        try:
+            return cls._of(found)
+        except _Wrong as wrong:
+            line = _line(text, wrong.where)
+            seen = f"line {line}: {wrong.seen}" if line else wrong.seen
+            raise BadRights(seen, cause=wrong.cause, remedy=wrong.remedy, line=line) from None
+
+    @classmethod
+    def _of(cls, found: Mapping[str, Any]) -> Self:
+        _refuse_unknown(found, ("site", *_TABLES))
         site = found.get("site", "site")
-        _require(NAME, site, "site")
-        aircraft = dict(_aircraft(_table(found, "aircraft")))
-        people = {name: _identity(name, table) for name, table in _table(found, "identity").items()}
-        shared = [*aircraft.values(), *(one.common_name for one in people.values())]
-        for name in shared:
-            if shared.count(name) > 1:
-                raise BadRights(
-                    f"two entries have the common name {name}",
-                    cause="the router knows clients by their certificates alone",
+        _require(NAME, site, "site", "site")
+        routers = {name: _router(name, one) for name, one in _tables(found, "router").items()}
+        defaults = _settings(_table(found, "defaults"), "defaults")
+        aircraft, settings = {}, {}
+        for name, table in _tables(found, "aircraft").items():
+            here = ("aircraft", name)
+            aircraft[name] = _common_name(table, *here)
+            own = {key: value for key, value in table.items() if key != "common_name"}
+            settings[name] = {**defaults, **_settings(own, *here)}
+        people = {name: _identity(name, one) for name, one in _tables(found, "identity").items()}
+        entries = [
+            *(("router", name, name) for name in routers),
+            *(("aircraft", name, common_name) for name, common_name in aircraft.items()),
+            *(("identity", name, one.common_name) for name, one in people.items()),
+        ]
+        for place, (kind, name, common_name) in enumerate(entries):
+            if common_name in [other for _, _, other in entries[:place]] or common_name == "ca":
+                raise _Wrong(
+                    f"two entries have the common name {common_name}",
+                    kind,
+                    name,
+                    cause="the router knows clients by their certificates alone; ca is the "
+                    "authority's",
                     remedy="give each of them a certificate of its own",
                 )
-        return cls(site, aircraft, people)
+        console = _table(found, "console")
+        _refuse_unknown(console, _CONSOLE, "console")
+        if console and console.get("identity") not in people:
+            raise _Wrong(
+                f"identity of the console is {console.get('identity')!r}",
+                *("console", "identity"),
+                remedy=f"one of {', '.join(people) or 'none: write [identity.NAME]'}",
+            )
+        return cls(site, aircraft, people, routers, settings, console)
 
 
-def _table(found: Mapping[str, Any], name: str) -> dict[str, dict[str, Any]]:
+class _Wrong(Exception):
+    """A value that cannot be, and the names of the tables and the key that lead to it."""
+
+    def __init__(self, seen: str, *where: str, remedy: str, cause: str = "") -> None:
+        super().__init__(seen)
+        self.seen, self.where, self.remedy, self.cause = seen, where, remedy, cause
+
+
+def _line(text: str, where: tuple[str, ...]) -> int:
+    """The line of a key, or of the nearest table around it; 0 where neither is found."""
+    table: tuple[str, ...] = ()
+    found = 0
+    for number, line in enumerate(text.splitlines(), 1):
+        is_head = line.lstrip().startswith("[")
+        own = _names(line if is_head else f"{line.partition('=')[0]} = 0")
+        table, names = (own, own) if is_head else (table, table + own)
+        if own and names == where:
+            return number
+        if own and names == where[: len(names)]:
+            found = number
+    return found
+
+
+def _names(line: str) -> tuple[str, ...]:
+    """The names in the head of a table, or before the sign of equality; none in other lines."""
+    try:
+        found: Any = read_toml(line)
+    except ValueError:
+        return ()
+    names = []
+    while isinstance(found, dict) and found:
+        [(name, found)] = found.items()
+        names.append(name)
+    return tuple(names)
+
+
+def _keyed(one: Identity, path: Path) -> Identity:
+    """With the public key that lies in a file of its own, where the fleet file has none."""
+    place = path.parent / PKI / f"{one.name}{PUBLIC}"
+    try:
+        with place.open(encoding="ascii", errors="replace") as file:
+            text = file.read(80).strip()
+    except FileNotFoundError:
+        return one
+    except OSError as error:
+        raise BadRights(f"{place} cannot be read: {error.strerror}", remedy="check it") from error
+    if one.public_key is not None:
+        return one
+    if _KEY.fullmatch(text) is None:
+        raise BadRights(
+            f"{place} has no public key", remedy="copy it anew, or m100link fleet make writes it"
+        )
+    return replace(one, public_key=bytes.fromhex(text))
+
+
+def _table(found: Mapping[str, Any], name: str) -> dict[str, Any]:
+    table = found.get(name, {})
+    if not isinstance(table, dict):
+        raise _Wrong(f"{name} is not a table", name, remedy=f"write [{name}]")
+    return table
+
+
+def _tables(found: Mapping[str, Any], name: str) -> dict[str, dict[str, Any]]:
     tables = found.get(name, {})
     if not isinstance(tables, dict) or not all(isinstance(one, dict) for one in tables.values()):
-        raise BadRights(f"{name} is not a table of tables", remedy=f"write [{name}.NAME]")
+        raise _Wrong(f"{name} is not a table of tables", name, remedy=f"write [{name}.NAME]")
+    for one in tables:
+        _require(NAME, one, name, name, one)
     return tables
 
 
-def _aircraft(tables: Mapping[str, Mapping[str, Any]]) -> Iterator[tuple[str, str]]:
-    for name, table in tables.items():
-        _require(NAME, name, "aircraft")
-        _refuse_unknown(table, ("common_name",), f"aircraft {name}")
-        common_name = table.get("common_name", name)
-        _require(NAME, common_name, f"common_name of {name}")
-        yield name, common_name
+def _common_name(table: Mapping[str, Any], kind: str, name: str) -> str:
+    common_name: str = table.get("common_name", name)
+    _require(NAME, common_name, f"common_name of {name}", kind, name, "common_name")
+    return common_name
+
+
+def _router(name: str, table: Mapping[str, Any]) -> Router:
+    here = ("router", name)
+    _refuse_unknown(table, ("hosts", "port"), *here)
+    hosts, port = table.get("hosts"), table.get("port", 7447)
+    if not isinstance(hosts, list) or not hosts or not all(map(_is_host, hosts)):
+        raise _Wrong(
+            f"hosts of {name} is {hosts!r}",
+            *(*here, "hosts"),
+            remedy='a list of names and addresses, without a port: ["base.local", "10.0.0.1"]',
+        )
+    if type(port) is not int or not 0 < port < 1 << 16:
+        raise _Wrong(f"port of {name} is {port!r}", *here, "port", remedy="1 to 65535")
+    return Router(name, tuple(hosts), port)
+
+
+def _is_host(host: object) -> bool:
+    try:
+        return bool(ipaddress.ip_address(host if isinstance(host, str) else ""))
+    except ValueError:
+        return isinstance(host, str) and _HOST.fullmatch(host) is not None
+
+
+def _settings(table: Mapping[str, Any], *here: str) -> dict[str, Any]:
+    """The settings of an aircraft, or of all of them."""
+    known = [name for name in _WANTED if here != ("defaults",) or name != "url"]
+    _refuse_unknown(table, (*known, "common_name")[: None if len(here) > 1 else -1], *here)
+    for name, value in table.items():
+        is_number = type(value) in (int, float) and 0 <= value < math.inf
+        is_right = {
+            "url": isinstance(value, str) and value.isprintable() and value != "",
+            "firmware": value in tuple(PROFILES),
+            "baud_rate": type(value) is int and value > 0,
+            "lost": value in ("hover", "land", "home"),
+            "lost_after": is_number and value <= 3600,
+        }.get(name, is_number and value > 0)
+        if not is_right:
+            raise _Wrong(f"{name} of {here[-1]} is {value!r}", *here, name, remedy=_WANTED[name])
+    return dict(table)
 
 
 def _identity(name: str, table: Mapping[str, Any]) -> Identity:
-    _require(NAME, name, "identity")
-    _refuse_unknown(table, _FIELDS, f"identity {name}")
-    common_name = table.get("common_name", name)
-    _require(NAME, common_name, f"common_name of {name}")
+    here = ("identity", name)
+    _refuse_unknown(table, _FIELDS, *here)
     key = table.get("public_key")
     if key is not None:
-        _require(_KEY, key, f"public_key of {name}", "64 hex digits, as `fleet pki issue` prints")
+        wanted = "64 hex digits, as in pki/NAME.pub"
+        _require(_KEY, key, f"public_key of {name}", *here, "public_key", remedy=wanted)
     patterns = {}
     for right in Right:
-        listed = table.get(right.name.lower(), [])
+        word = right.name.lower()
+        listed = table.get(word, [])
         if not isinstance(listed, list):
-            raise BadRights(
-                f"{right.name.lower()} of {name} is {listed!r}", remedy='a list such as ["a1"]'
+            raise _Wrong(
+                f"{word} of {name} is {listed!r}", *here, word, remedy='a list such as ["a1"]'
             )
         for pattern in listed:
-            _require(_PATTERN, pattern, f"{right.name.lower()} of {name}", 'a name, "b*" or "*"')
+            wanted = 'a name, "b*" or "*"'
+            _require(_PATTERN, pattern, f"{word} of {name}", *here, word, remedy=wanted)
         patterns[right] = tuple(listed)
+    common_name = _common_name(table, *here)
     return Identity(name, common_name, None if key is None else bytes.fromhex(key), patterns)
 
 
 def _require(
-    wanted: re.Pattern[str], value: object, what: str, remedy: str = "letters, digits, - and _"
+    wanted: re.Pattern[str],
+    value: object,
+    what: str,
+    *where: str,
+    remedy: str = "1 to 32 letters, digits, - and _",
 ) -> None:
     if not isinstance(value, str) or wanted.fullmatch(value) is None:
-        raise BadRights(f"{what} is {value!r}", remedy=remedy)
+        raise _Wrong(f"{what} is {value!r}", *where, remedy=remedy)
 
 
-def _refuse_unknown(found: Mapping[str, Any], known: tuple[str, ...], where: str) -> None:
+def _refuse_unknown(found: Mapping[str, Any], known: Collection[str], *where: str) -> None:
     for name in found:
         if name not in known:
-            raise BadRights(
-                f"{where}: there is no field {name!r}", remedy=f"one of {', '.join(known)}"
+            raise _Wrong(
+                f"{' '.join(where) or 'the file'}: there is no field {name!r}",
+                *(*where, name),
+                remedy=f"one of {', '.join(known)}",
             )
 
-
-# -- names that are shut out before their certificates end: a list that the authority signs --------
-# A list is two lines: what it says, as JSON, and the authority's signature over that line with its
-# line feed (ECDSA over P-256 with SHA-256, as base64), so that ``openssl`` verifies it, too. It
-# holds every name that was ever revoked and a number; one with a smaller number never takes its
-# place. Pure logic.
-
-
-LARGEST = 32 * 1024
-"""Bytes of a list at most: some 700 names."""
 
 Since = Callable[[str], str]
 """Since when a name is revoked, in words; empty if it is not."""
 
-_KIND = "revoked 1"
-_MOST_NUMBER = 1 << 53
-_MOST_DATE = 32
-
 
 def nobody(name: str) -> str:
     return ""
-
-
-class BadRevoked(
-    UsageError,
-    code="M100-BAD-REVOKED",
-    cause="another authority made the list, it was changed, or a newer one is in force",
-    remedy="`m100link fleet pki push` brings the list of the authority",
-):
-    """A list of revoked names that an agent does not accept; the earlier one stays in force."""
-
-
-@dataclass(frozen=True, slots=True)
-class Revoked:
-    """The content of a list."""
-
-    number: int  # greater than that of every list before, from 1; 0 for none
-    names: Mapping[str, str]  # who is revoked, and since which day, in words
-    data: bytes = b""  # the bytes as they were signed; empty for no list
-
-    @classmethod
-    def verified(cls, data: bytes, authority: x509.Certificate) -> Self:
-        """Read and verify a list of this authority.
-
-        Raises:
-            BadRevoked: It is not a list of this authority.
-        """
-        line, _, signature = data[: LARGEST + 1].partition(b"\n")
-        if len(data) > LARGEST:
-            raise BadRevoked(f"a list of revoked names has at most {LARGEST} bytes")
-        try:
-            key = authority.public_key()
-            if not isinstance(key, ec.EllipticCurvePublicKey):
-                raise BadRevoked("the authority has no key that signs lists of revoked names")
-            signed = base64.b64decode(signature.strip(), validate=True)
-            key.verify(signed, line + b"\n", ec.ECDSA(SHA256()))
-        except (InvalidSignature, UnsupportedAlgorithm, ValueError) as error:
-            if isinstance(error, BadRevoked):
-                raise
-            raise BadRevoked(
-                "the signature of a list of revoked names is not that of the authority",
-                cause="another authority made it, or it was changed on its way",
-            ) from error
-        return cls(*_read(line), data)
-
-
-def sign_revoked(number: int, names: Mapping[str, str], key: ec.EllipticCurvePrivateKey) -> bytes:
-    content = {"m100link": _KIND, "number": number, "names": dict(names)}
-    line = json.dumps(content).encode() + b"\n"
-    data = line + base64.b64encode(key.sign(line, ec.ECDSA(SHA256()))) + b"\n"
-    if len(data) > LARGEST:
-        raise BadRevoked(
-            f"{len(names)} names are too many for a list",
-            cause="names stay in it for good",
-            remedy="make a new authority, and issue all certificates again",
-        )
-    return data
-
-
-def _read(line: bytes) -> tuple[int, dict[str, str]]:
-    """Number and names of a line that the authority has signed."""
-    try:
-        found: Any = read_json(line)
-        number, names = found["number"], found["names"]
-        if found["m100link"] != _KIND:
-            raise ValueError(f"it is {found['m100link']!r}")
-        if type(number) is not int or not 0 < number < _MOST_NUMBER:
-            raise ValueError("its number is none")
-        for name, since in names.items():
-            if not NAME.fullmatch(name) or type(since) is not str or len(since) > _MOST_DATE:
-                raise ValueError(f"{name!r} is no name")
-    except (ValueError, TypeError, KeyError, AttributeError) as error:
-        raise BadRevoked(
-            f"this release cannot read a list of revoked names: {error}",
-            cause="the authority has a newer release, or signed something else",
-            remedy="install the same release on both",
-        ) from error
-    return number, names
 
 
 # -- identity --------------------------------------------------------------------------------------
@@ -360,7 +494,7 @@ class Signer:
 
     @property
     def public_key(self) -> bytes:
-        """For the file of rights, 32 bytes."""
+        """For the fleet file, 32 bytes."""
         return self._key.public_key().public_bytes_raw()
 
     def sign(self, order: OrderMessage) -> bytes:
@@ -437,7 +571,7 @@ class Gate:
                 f"{who} may not {right.name.lower()} {self._aircraft}",
                 reason=Reason.NOT_ALLOWED,
                 signer=who,
-                cause="the file of rights on board does not allow it",
+                cause="the fleet file on board does not allow it",
                 remedy=f"write [identity.{who}] {right.name.lower()} = [{self._aircraft!r}] there",
             )
         until = self._require_fresh(order, now, clock, boot)
@@ -460,8 +594,8 @@ class Gate:
                 f"an order is signed by {who}, whose key {self._aircraft} does not know",
                 reason=Reason.UNKNOWN_KEY,
                 signer=order.signer,
-                cause="the file of rights on board has no public_key of that name",
-                remedy="put it there, as `m100link fleet pki issue pilot` printed it",
+                cause="the fleet file on board has no public_key of that name",
+                remedy="copy pki/NAME.pub there, which `m100link fleet make` wrote",
             )
         try:
             key.verify(order.signature, order.signed())

@@ -28,9 +28,9 @@ from cryptography.hazmat.primitives.serialization import (
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from m100link.apps.agent.orders import Right
-from m100link.apps.fleet.identity import Identity, Revoked, Rights, Signer, sign_revoked
+from m100link.apps.fleet.identity import Identity, Rights, Signer
 from m100link.apps.fleet.keys import LIVE, NAME
-from m100link.apps.fleet.revocations import AUTHORITY, LIST, Revocations
+from m100link.apps.fleet.revocations import AUTHORITY, LIST, Revocations, Revoked, sign_revoked
 from m100link.errors import UsageError
 from m100link.link.keyfile import read_token, replace_file
 
@@ -70,7 +70,7 @@ class Issued:
     key: Path  # PEM file with its key; mode 0600
     ends: datetime  # when it expires
     signing_key: Path | None = None  # file with an operator's key that signs orders; mode 0600
-    public_key: str = ""  # its public key, for the file of rights, 64 hex digits
+    public_key: str = ""  # its public key, for the fleet file, 64 hex digits
 
 
 def init(folder: Path, *, now: datetime, force: bool = False) -> Issued:
@@ -140,7 +140,7 @@ def issue(
         raise BadAuthority(
             f"{name} is revoked since {since}",
             cause="a revoked name stays revoked: nobody could tell the new key from the lost one",
-            remedy="give its owner another name, here and in the file of rights",
+            remedy="give its owner another name, here and in the fleet file",
         )
     key = ec.generate_private_key(ec.SECP256R1())
     ends = min(now + timedelta(days=ISSUED_DAYS), authority.not_valid_after_utc)
@@ -329,7 +329,7 @@ def _write(files: dict[Path, bytes], *, force: bool) -> None:
             ) from error
 
 
-# -- rules for a router of zenoh, made of the file of rights; what somebody may do, in words -------
+# -- rules for a router of zenoh, made of the fleet file; what somebody may do, in words -------
 # Everything is denied that no rule allows, in both directions: a question has to come in from who
 # asks and to go out to the agent, the answer the other way round, and so has every declaration that
 # lets the two know of each other. A rule too few looks as if nobody were there. The router sees
@@ -356,6 +356,7 @@ def router_config(rights: Rights) -> dict[str, Any]:
             (f"identity {one.name}", one.common_name, _of_identity(rights, one))
             for one in rights.identities.values()
         ),
+        *((f"router {name}", name, _of_router(rights)) for name in rights.routers),
     ]
     for who, common_name, made in parts:
         mine = [
@@ -447,6 +448,19 @@ def _of_identity(rights: Rights, one: Identity) -> Iterator[dict[str, Any]]:
     messages = ["liveliness_query", "declare_liveliness_subscriber"]
     yield _rule("ingress", messages, _tokens(rights, everybody))
     yield _rule("egress", ["liveliness_token"], live)
+
+
+_PASSED = (
+    *("put", "declare_subscriber", "query", "declare_queryable", "reply"),
+    *("liveliness_token", "liveliness_query", "declare_liveliness_subscriber"),
+)
+
+
+def _of_router(rights: Rights) -> Iterator[dict[str, Any]]:
+    """Another router has looked at what comes from its clients, and looks at what goes to them."""
+    keys = [f"m100/{rights.site}/**", f"{LIVE}/{rights.site}/**"]
+    yield _rule("ingress", _PASSED, keys)
+    yield _rule("egress", _PASSED, keys)
 
 
 def explain(rights: Rights, who: str) -> list[tuple[str, Right | None]]:

@@ -8,21 +8,29 @@ signed it.
 from __future__ import annotations
 
 import asyncio
+import base64
+import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Self
 
 from cryptography import x509
+from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.hashes import SHA256
 
 from m100link.apps.agent.background import TaskSet, goes_on
 from m100link.apps.agent.messages import MessageError
 from m100link.apps.bus.network import Bus, Question
 from m100link.apps.fleet.asking import believed, nobody_there
-from m100link.apps.fleet.identity import LARGEST, BadRevoked, Revoked, Rights
-from m100link.apps.fleet.keys import Keys, session_in
+from m100link.apps.fleet.identity import Rights
+from m100link.apps.fleet.keys import NAME, Keys, session_in
 from m100link.apps.fleet.payloads import VERSION, OrderReply, body, pack
 from m100link.errors import M100Error, OutcomeUnknown, UsageError
+from m100link.errors.texts import read_json
 from m100link.errors.usage import unread
 from m100link.link.keyfile import replace_file
 
@@ -37,6 +45,101 @@ _MOST_WAITING = 8
 _ANSWER_S = 1.5
 _TRIES = 4
 _AGAIN_S = 0.2
+
+
+# -- names that are shut out before their certificates end: a list that the authority signs --------
+# A list is two lines: what it says, as JSON, and the authority's signature over that line with its
+# line feed (ECDSA over P-256 with SHA-256, as base64), so that ``openssl`` verifies it, too. It
+# holds every name that was ever revoked and a number; one with a smaller number never takes its
+# place. Pure logic.
+
+
+LARGEST = 32 * 1024
+"""Bytes of a list at most: some 700 names."""
+
+_KIND = "revoked 1"
+_MOST_NUMBER = 1 << 53
+_MOST_DATE = 32
+
+
+class BadRevoked(
+    UsageError,
+    code="M100-BAD-REVOKED",
+    cause="another authority made the list, it was changed, or a newer one is in force",
+    remedy="`m100link fleet pki push` brings the list of the authority",
+):
+    """A list of revoked names that an agent does not accept; the earlier one stays in force."""
+
+
+@dataclass(frozen=True, slots=True)
+class Revoked:
+    """The content of a list."""
+
+    number: int  # greater than that of every list before, from 1; 0 for none
+    names: Mapping[str, str]  # who is revoked, and since which day, in words
+    data: bytes = b""  # the bytes as they were signed; empty for no list
+
+    @classmethod
+    def verified(cls, data: bytes, authority: x509.Certificate) -> Self:
+        """Read and verify a list of this authority.
+
+        Raises:
+            BadRevoked: It is not a list of this authority.
+        """
+        line, _, signature = data[: LARGEST + 1].partition(b"\n")
+        if len(data) > LARGEST:
+            raise BadRevoked(f"a list of revoked names has at most {LARGEST} bytes")
+        try:
+            key = authority.public_key()
+            if not isinstance(key, ec.EllipticCurvePublicKey):
+                raise BadRevoked("the authority has no key that signs lists of revoked names")
+            signed = base64.b64decode(signature.strip(), validate=True)
+            key.verify(signed, line + b"\n", ec.ECDSA(SHA256()))
+        except (InvalidSignature, UnsupportedAlgorithm, ValueError) as error:
+            if isinstance(error, BadRevoked):
+                raise
+            raise BadRevoked(
+                "the signature of a list of revoked names is not that of the authority",
+                cause="another authority made it, or it was changed on its way",
+            ) from error
+        return cls(*_read(line), data)
+
+
+def sign_revoked(number: int, names: Mapping[str, str], key: ec.EllipticCurvePrivateKey) -> bytes:
+    content = {"m100link": _KIND, "number": number, "names": dict(names)}
+    line = json.dumps(content).encode() + b"\n"
+    data = line + base64.b64encode(key.sign(line, ec.ECDSA(SHA256()))) + b"\n"
+    if len(data) > LARGEST:
+        raise BadRevoked(
+            f"{len(names)} names are too many for a list",
+            cause="names stay in it for good",
+            remedy="make a new authority, and issue all certificates again",
+        )
+    return data
+
+
+def _read(line: bytes) -> tuple[int, dict[str, str]]:
+    """Number and names of a line that the authority has signed."""
+    try:
+        found: Any = read_json(line)
+        number, names = found["number"], found["names"]
+        if found["m100link"] != _KIND:
+            raise ValueError(f"it is {found['m100link']!r}")
+        if type(number) is not int or not 0 < number < _MOST_NUMBER:
+            raise ValueError("its number is none")
+        for name, since in names.items():
+            if not NAME.fullmatch(name) or type(since) is not str or len(since) > _MOST_DATE:
+                raise ValueError(f"{name!r} is no name")
+    except (ValueError, TypeError, KeyError, AttributeError) as error:
+        raise BadRevoked(
+            f"this release cannot read a list of revoked names: {error}",
+            cause="the authority has a newer release, or signed something else",
+            remedy="install the same release on both",
+        ) from error
+    return number, names
+
+
+# -- the list in force, and how a newer one comes ------------------------------------------------
 
 
 class Revocations:

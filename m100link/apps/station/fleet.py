@@ -73,7 +73,7 @@ class FleetSettings:
     seals: dict[str, Seal] = field(default_factory=dict)  # by which aircraft sign what they say
     authority: Revocations | None = None  # whose certificates other aircraft have
     verify: Verify | None = None  # looks at each order; None: the router alone decides who may ask
-    revocations: Revocations | None = None  # who is shut out, whatever the file of rights says
+    revocations: Revocations | None = None  # who is shut out, whatever the fleet file says
     log_rate: float = RATE  # bytes of flight logs a second that each aircraft gives away at most
 
 

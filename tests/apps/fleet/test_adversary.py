@@ -25,7 +25,7 @@ from m100link.apps.agent import orders
 from m100link.apps.bus.network import Question
 from m100link.apps.fleet import pki
 from m100link.apps.fleet.client import Fleet
-from m100link.apps.fleet.identity import Revoked, Rights, Signer
+from m100link.apps.fleet.identity import Rights, Signer
 from m100link.apps.fleet.keys import Keys
 from m100link.apps.fleet.payloads import (
     VERSION,
@@ -42,7 +42,7 @@ from m100link.apps.fleet.payloads import (
     pack,
     unpack,
 )
-from m100link.apps.fleet.revocations import Revocations, RevocationService, bring
+from m100link.apps.fleet.revocations import Revocations, RevocationService, Revoked, bring
 from m100link.apps.fleet.show.plan.conflicts import ConflictMonitor, Neighbours
 from m100link.apps.fleet.show.service import ShowService
 from m100link.apps.fleet.signing import Seal, SealedBus, _parts, signing, verifying

@@ -382,12 +382,72 @@ def test_names_keys_and_common_names_are_as_the_file_says() -> None:
         ('[identity.anna]\npublic_key = "12"', "public_key of anna is '12'"),
         ("[aircraft.a1]\n[identity.a1]", "two entries have the common name a1"),
         ('[identity.x]\n[identity.y]\ncommon_name = "x"', "two entries have the common name x"),
+        ("[aircraft.ca]", "two entries have the common name ca"),
+        ('[aircraft."../../x"]', "line 1: aircraft is '../../x'"),
+        ('[aircraft."a\\u001b[2J"]', "line 1: aircraft is 'a\\x1b[2J'"),
+        ("\n[aircraft.a1]\n\nlost = 'fall'", "line 4: lost of a1 is 'fall'"),
+        ("[aircraft]\na1 = {lost_after = -1}", "line 2: lost_after of a1 is -1"),
+        ("[aircraft]\na1.max_height = nan", "line 2: max_height of a1 is nan"),
+        ("[aircraft.a1]\nmax_radius = true", "line 2: max_radius of a1 is True"),
+        ("[aircraft.a1]\nfirmware = '9'", "line 2: firmware of a1 is '9'"),
+        ("[aircraft.a1]\nbaud_rate = 0", "line 2: baud_rate of a1 is 0"),
+        ("[defaults]\nurl = '/dev/x'", "line 2: defaults: there is no field 'url'"),
+        ("defaults = 3", "line 1: defaults is not a table"),
+        ("[router.base]", "line 1: hosts of base is None"),
+        ("[router.base]\nhosts = ['a b']", "line 2: hosts of base is ['a b']"),
+        ("[router.base]\nhosts = ['::1']\nport = 70000", "line 3: port of base is 70000"),
+        ("[console]\nidentity = 'eve'", "line 2: identity of the console is 'eve'"),
+        ("[aircraft.a1]\n[aircraft.a1]", "is not TOML"),
     ],
 )
 def test_every_mistake_is_named(text: str, said: str) -> None:
     with pytest.raises(BadRights) as caught:
         Rights.parse(text)
     assert said in caught.value.seen
+    assert caught.value.line
+    assert caught.value.remedy
+
+
+def test_a_fleet_file_has_routers_settings_and_a_console() -> None:
+    found = Rights.parse(
+        """
+[router.base]
+hosts = ["base.local", "10.0.0.1"]
+port = 7000
+[router.near]
+hosts = ["127.0.0.1"]
+[defaults]
+lost = "land"
+max_height = 30
+[aircraft.a1]
+url = "/dev/ttyUSB0"
+max_height = 40
+[aircraft.a2]
+[identity.anna]
+[console]
+identity = "anna"
+"""
+    )
+    assert found.endpoints == ("tls/base.local:7000", "tls/127.0.0.1:7447")
+    listening = [one.listen for one in found.routers.values()]
+    assert listening == ["tls/0.0.0.0:7000", "tls/127.0.0.1:7447"]
+    assert found.settings["a1"] == {"lost": "land", "max_height": 40, "url": "/dev/ttyUSB0"}
+    assert found.settings["a2"] == {"lost": "land", "max_height": 30}
+    assert list(found.without({"near", "a2"}).routers) == ["base"]
+
+
+def test_a_public_key_lies_beside_the_file(tmp_path: Path) -> None:
+    (tmp_path / "fleet.toml").write_text("[identity.anna]\nfly = ['*']\n[identity.bert]\n")
+    (tmp_path / "pki").mkdir()
+    (tmp_path / "pki/anna.pub").write_text("0a" * 32 + "\n")
+    anna, bert = Rights.read(tmp_path / "fleet.toml").identities.values()
+    assert (anna.public_key, bert.public_key) == (b"\x0a" * 32, None)
+    before = Rights.read(tmp_path / "fleet.toml").digest
+    (tmp_path / "pki/anna.pub").write_text("0b" * 32)
+    assert Rights.read(tmp_path / "fleet.toml").digest != before
+    (tmp_path / "pki/anna.pub").write_text("no key")
+    with pytest.raises(BadRights, match=r"anna\.pub has no public key"):
+        Rights.read(tmp_path / "fleet.toml")
 
 
 def test_files_that_cannot_be_read_are_named(tmp_path: Path) -> None:

@@ -26,7 +26,7 @@ from cryptography.x509.verification import (
 )
 
 from m100link.apps.agent.orders import Right
-from m100link.apps.fleet.identity import BadRevoked, Rights, Signer
+from m100link.apps.fleet.identity import Rights, Signer
 from m100link.apps.fleet.pki import (
     BadAuthority,
     Kind,
@@ -37,7 +37,7 @@ from m100link.apps.fleet.pki import (
     revoke,
     router_config,
 )
-from m100link.apps.fleet.revocations import Revocations
+from m100link.apps.fleet.revocations import BadRevoked, Revocations
 from m100link.link.keyfile import read_token
 from tests.waiting import PATIENCE
 
@@ -310,8 +310,7 @@ def test_what_cannot_be_a_name_is_not_revoked(folder: Path) -> None:
 
 zenoh: Any = pytest.importorskip("zenoh", reason="the extra fleet is not installed")
 
-RIGHTS = Rights.parse(
-    """
+FILE = """
 [aircraft.a1]
 [aircraft.a2]
 [identity.anna]
@@ -322,6 +321,10 @@ stop = ["a*"]
 watch = ["*"]
 [identity.none]
 """
+RIGHTS = Rights.parse(FILE)
+_ROUTERS = ("base", "other")
+LINKED = Rights.parse(
+    FILE + "".join(f'[router.{one}]\nhosts = ["127.0.0.1"]\n' for one in _ROUTERS)
 )
 
 # -- the rules as they are written ----------------------------------------------------------------
@@ -449,7 +452,7 @@ class Site:
 
     def __init__(self, folder: Path, stack: ExitStack) -> None:
         self.folder = folder
-        self.endpoint = f"tls/127.0.0.1:{free_port()}"
+        self.endpoint = self.first = f"tls/127.0.0.1:{free_port()}"
         self._stack = stack
         now = datetime.now(UTC)
         init(folder, now=now)
@@ -458,8 +461,19 @@ class Site:
             issue(folder, Kind.AGENT, name, now=now)
         issue(folder, Kind.AGENT, "late", now=now - timedelta(days=31))
         config = self._config("router", folder, listen="base")
-        config.insert_json5("access_control", json.dumps(router_config(RIGHTS)))
+        config.insert_json5("access_control", json.dumps(router_config(LINKED)))
         stack.enter_context(zenoh.open(config))
+
+    def link(self) -> None:
+        """Begin another router, which is linked with the first one."""
+        now = datetime.now(UTC)
+        issue(self.folder, Kind.ROUTER, "other", now=now, hosts=["127.0.0.1"])
+        self.endpoint = f"tls/127.0.0.1:{free_port()}"
+        config = self._config("router", self.folder, listen="other", connect="other")
+        config.insert_json5("listen/endpoints", json.dumps([self.endpoint]))
+        config.insert_json5("connect/endpoints", json.dumps([self.first]))
+        config.insert_json5("access_control", json.dumps(router_config(LINKED)))
+        self._stack.enter_context(zenoh.open(config))
 
     def _config(self, mode: str, folder: Path, *, listen: str = "", connect: str = "") -> Any:
         config = zenoh.Config()
@@ -530,8 +544,12 @@ def site(tmp_path: Path) -> Iterator[Site]:
         yield Site(tmp_path / "pki", stack)
 
 
-def test_a_router_lets_everybody_do_what_the_file_says(site: Site) -> None:
+@pytest.mark.parametrize("is_linked", [False, True])
+def test_a_router_lets_everybody_do_what_the_file_says(site: Site, is_linked: bool) -> None:
+    """Also between two that are linked, each of which has its own clients."""
     agents = {name: site.come(name) for name in ("a1", "a2")}
+    if is_linked:
+        site.link()
     people = {name: site.come(name) for name in ("anna", "bert", "wall", "stranger")}
     tokens = [
         agents[name].liveliness().declare_token(f"m100-live/site/{name}/{agents[name].zid()}")

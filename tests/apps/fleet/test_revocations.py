@@ -25,12 +25,21 @@ from m100link.apps.agent.messages import MessageError
 from m100link.apps.bus.network import Question
 from m100link.apps.fleet import revocations
 from m100link.apps.fleet.client import Fleet, FleetAircraft
-from m100link.apps.fleet.identity import LARGEST, BadRevoked, Revoked, Rights, nobody, sign_revoked
+from m100link.apps.fleet.identity import Rights, nobody
 from m100link.apps.fleet.keys import Keys
 from m100link.apps.fleet.lost_link import LostLinkPlan
 from m100link.apps.fleet.payloads import VERSION, OrderReply, Outcome, unpack
 from m100link.apps.fleet.pki import init, revoke
-from m100link.apps.fleet.revocations import LIST, Revocations, RevocationService, bring
+from m100link.apps.fleet.revocations import (
+    LARGEST,
+    LIST,
+    BadRevoked,
+    Revocations,
+    RevocationService,
+    Revoked,
+    bring,
+    sign_revoked,
+)
 from m100link.apps.fleet.show.service import ShowService
 from m100link.apps.fleet.signing import signing, verifying
 from m100link.errors import M100Error, NotAllowed, OutcomeUnknown, Unreachable, UsageError

@@ -184,7 +184,7 @@ class LogFetcher:
             f"{name} gave no answer about its logs for {self._patience:g} s",
             cause="the link is cut, its agent hangs or is an old one, or the router lets no answer "
             "pass to this identity",
-            remedy="m100link fleet acl check FILE --who NAME, with the router's file of rights",
+            remedy="m100link fleet acl check FILE --who NAME, with the router's fleet file",
         )
 
 
