@@ -11,6 +11,7 @@ import sys
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import AbstractAsyncContextManager, contextmanager
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -23,6 +24,7 @@ from m100link.apps.cli.plan import File, require_free
 from m100link.apps.cli.terminal import AS_IT_IS, ExitCode, LogOptions, panel, print_json
 from m100link.apps.fleet.asking import PATIENCE_S, Sign
 from m100link.apps.fleet.client import Fleet, FleetAircraft, connect
+from m100link.apps.fleet.identity import Rights
 from m100link.apps.fleet.keys import DEFAULT_SITE, check_name, in_order
 from m100link.apps.fleet.payloads import Result
 from m100link.apps.fleet.revocations import Revocations
@@ -151,12 +153,13 @@ class FleetOptions:
     """The fleet to connect to, and the operator's identity.
 
     Attributes:
-        connect: Endpoint of a router (M100LINK_FLEET); may be repeated: the first one that answers
-            serves.
+        connect: A fleet file, or the endpoint of a router (M100LINK_FLEET); an endpoint may be
+            repeated: the first one that answers serves.
         site: Name of the site (M100LINK_SITE).
         name: Operator's name, shown to other people; the identity, or user and host, by default.
-        identity: Identity that signs orders and shows its certificate to a router behind tls/.
-        pki: Folder with that certificate and key (M100LINK_PKI).
+        identity: Identity that signs orders and shows its certificate to a router behind tls/
+            (M100LINK_IDENTITY).
+        pki: Folder with that certificate and key (M100LINK_PKI); pki beside a fleet file.
         patience: Seconds without any answer after which the outcome of an order is unknown. With a
             delay of 3 s in each direction an answer takes 6.5 s.
         log: Options of the log.
@@ -165,18 +168,18 @@ class FleetOptions:
     connect: Annotated[tuple[str, ...], Parameter(env_var="M100LINK_FLEET")] = (ROUTER,)
     site: Annotated[str, Parameter(env_var="M100LINK_SITE")] = DEFAULT_SITE
     name: str | None = None
-    identity: str | None = None
-    pki: Annotated[Path, Parameter(env_var="M100LINK_PKI")] = Path()
+    identity: Annotated[str | None, Parameter(env_var="M100LINK_IDENTITY")] = None
+    pki: Annotated[Path | None, Parameter(env_var="M100LINK_PKI")] = None
     patience: Annotated[float, Above0] = PATIENCE_S
     json_output: Json = False
     log: LogOptions = AS_IT_IS
 
     def open(self) -> AbstractAsyncContextManager[Fleet]:
         """The fleet."""
-        identity, pki = self.identity, self.pki
+        identity, pki, file = self.identity, self.folder, self.file
         return connect(
-            *self.connect,
-            site=self.site,
+            *(self.connect if file is None else file.endpoints),
+            site=self.place,
             name=self.who,
             sign=self.sign(),
             authority=None if identity is None else Revocations.of_folder(pki),
@@ -184,17 +187,34 @@ class FleetOptions:
             patience=self.patience,
         )
 
+    @cached_property
+    def file(self) -> Rights | None:
+        """The fleet file; None where endpoints were named. Raises BadRights: it has an error."""
+        [first, *more] = self.connect
+        return Rights.read(first) if first.endswith(".toml") and not more else None
+
     @property
-    def who(self) -> str:
-        """The operator's name, for other people."""
-        user = f"{getpass.getuser()}@{platform.node() or 'host'}"
-        return self.name or self.identity or user
+    def place(self) -> str:
+        """The name of the site."""
+        return self.site if self.file is None else self.file.site
 
     def sign(self) -> Sign | None:
         """The signer of orders; None without an identity."""
         if self.identity is None:
             return None
-        return signing(read_signer(self.pki, self.identity))
+        return signing(read_signer(self.folder, self.identity))
+
+    @property
+    def folder(self) -> Path:
+        """The folder with certificates and keys."""
+        beside = Path() if self.file is None else self.file.pki
+        return beside if self.pki is None else self.pki
+
+    @property
+    def who(self) -> str:
+        """The operator's name, for other people."""
+        user = f"{getpass.getuser()}@{platform.node() or 'host'}"
+        return self.name or self.identity or user
 
 
 NO_OPTIONS = FleetOptions()
@@ -258,7 +278,7 @@ def tell_results(results: dict[str, Result], options: FleetOptions) -> int:
     """Print what became of an order to each; 0 only when all is well."""
     as_json = options.json_output
     if not results:
-        err.print(f"there is no agent at site {options.site}")
+        err.print(f"there is no agent at site {options.place}")
         return ExitCode.NO_LINK
     for name in in_order(results):
         result = results[name]

@@ -79,7 +79,7 @@ def fly(
         loop.add_signal_handler(signal.SIGTERM, here.cancel)
         try:
             async with options.open() as fleet, fleet[name].control(take_over=take_over) as control:
-                with shared(options.site, name, control.proof):
+                with shared(options.place, name, control.proof):
                     mission = control.waypoint_mission(found, take_off=take_off)
                     show.mission = mission
                     async with mission:
@@ -174,7 +174,7 @@ async def _ordering(
     do: Callable[[MissionOrders, FleetAircraft], Awaitable[str | None]],
     done: str = "",  # the report when the order itself gives none
 ) -> int:
-    fence, token = borrowed(options.site, name)
+    fence, token = borrowed(options.place, name)
     async with options.open() as fleet:
         aircraft = fleet[name]
         asker = aircraft.asker
@@ -434,7 +434,7 @@ def fly_show(
         async with options.open() as fleet:
             conductor = Conductor(
                 fleet.bus,
-                options.site,
+                options.place,
                 options.who,
                 found,
                 leave=leave,

@@ -1,14 +1,12 @@
-"""``m100link fleet router``, ``agent``, ``console``, ``pki`` and ``acl``: set up a fleet."""
+"""``m100link fleet make``, ``up``, ``router``, ``agent``, ``console``, ``pki`` and ``acl``."""
 
 from __future__ import annotations
 
 import asyncio
 import json
 import os
-import time
 import webbrowser
-from collections.abc import Iterable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -48,27 +46,30 @@ from m100link.apps.cli.serve import (
 )
 from m100link.apps.cli.terminal import AS_IT_IS, ExitCode, LogOptions, wants_json
 from m100link.apps.fleet.client import open_fleet
-from m100link.apps.fleet.identity import BadRights, Rights, nobody
+from m100link.apps.fleet.identity import BadRights, Rights
 from m100link.apps.fleet.keys import DEFAULT_SITE
 from m100link.apps.fleet.logs.service import RATE
 from m100link.apps.fleet.lost_link import LostAction, LostLinkPlan
-from m100link.apps.fleet.pki import Issued, Kind, explain, listed, router_config
-from m100link.apps.fleet.pki import init as make_authority
-from m100link.apps.fleet.pki import issue as make_certificate
+from m100link.apps.fleet.pki import BOARDS, explain, listed, router_config
+from m100link.apps.fleet.pki import make as make_certificates
 from m100link.apps.fleet.pki import revoke as revoke_names
 from m100link.apps.fleet.revocations import LIST, Revocations, bring
-from m100link.apps.fleet.signing import Seal, tls_options, verifying
 from m100link.apps.station.config import ONLY_NAME, Settings, resolve
 from m100link.apps.station.fleet import (
     FleetSettings,
     default_order_logs,
+    parts_of,
     recorded_apart,
+    running_part,
+    running_parts,
     serving_fleet,
     serving_fleet_console,
 )
 from m100link.apps.station.log_output import FlightProgress, tell_elsewhere
 from m100link.apps.station.supervisor import leave_what_stays
 from m100link.errors import UsageError
+
+FleetFile = Annotated[Path, Parameter(help="A fleet file, TOML.")]
 
 _FromSettings: Any = layer_of_settings(OF_THE_AIRCRAFT)
 
@@ -91,45 +92,21 @@ async def router(
     *,
     listen: tuple[str, ...] = (ROUTER,),
     connect: tuple[str, ...] = (),
-    name: str = "router",
-    pki: Annotated[Path | None, Parameter(env_var="M100LINK_PKI")] = None,
-    rights: Path | None = None,
     json_output: Json = False,
     log: LogOptions = AS_IT_IS,
 ) -> None:
-    """Run the router that agents and operators connect to, until Ctrl-C. A zenohd works, too.
+    """Run a router without certificates, until Ctrl-C. A zenohd works, too.
 
-    Everybody who reaches it can fly every aircraft behind it: let it listen on loopback, in a
-    network of your own, or behind certificates.
+    Everybody who reaches it can fly every aircraft behind it: let it listen on loopback or in a
+    network of your own. `fleet up` runs routers behind certificates.
 
     Args:
-        listen: Where to listen, such as tcp/0.0.0.0:7447, or tls/… with --pki; may be repeated.
+        listen: Where to listen, such as tcp/0.0.0.0:7447; may be repeated.
         connect: Endpoint of another router to link with, so that clients of both see each other;
             may be repeated. Routers may start in any order.
-        name: Name of its certificate.
-        pki: Folder with its certificate and key (M100LINK_PKI). Clients by tls/ need one, too.
-        rights: File of rights: the router passes on only what it allows. Needs --pki, because the
-            router knows clients by their certificates. Names in revoked.list there have no rights;
-            the router reads a newer list at its next start.
     """
-    options = {} if pki is None else tls_options(pki, name, listens=True)
-    if rights is not None and connect:
-        raise UsageError(
-            "--rights and linked routers cannot be combined: nothing would pass between the two",
-            remedy="let agents and operators --connect to both routers, and do not link them",
-        )
-    if rights is not None:
-        if pki is None or not all(place.startswith("tls/") for place in listen):
-            raise UsageError(
-                "--rights needs certificates: the router knows clients by them",
-                remedy="--pki FOLDER, and only --listen tls/…",
-            )
-        revoked = Revocations.of_folder(pki).revoked
-        options["access_control"] = json.dumps(
-            router_config(Rights.read(rights).without(revoked.names))
-        )
     ended = Ended()
-    async with open_fleet("router", listen=listen, connect=connect, options=options):
+    async with open_fleet("router", listen=listen, connect=connect):
         tell({"listen": list(listen)}, f"router: {', '.join(listen)}", as_json=json_output)
         await ended.wait()
 
@@ -143,15 +120,14 @@ async def agent(
     lost: LostAction = "hover",
     lost_after: float = 10.0,
     order_log: Path | None = None,
-    pki: Annotated[Path | None, Parameter(env_var="M100LINK_PKI")] = None,
-    rights: Path | None = None,
     log_rate: Annotated[float, Above0] = RATE / 1e6,
     options: AgentOptions = AgentOptions(),
 ) -> int:
-    """Own an aircraft on board and serve it to a fleet, until Ctrl-C.
+    """Own an aircraft on board and serve it to a fleet without certificates, until Ctrl-C.
 
-    When the operator falls silent, the last setpoint ends after 0.2 s and the aircraft brakes; from
-    3 m/s it takes more than a second to hover. The lease ends after 3 s; then --lost applies.
+    `fleet up` does so for the aircraft of a fleet file, with certificates and signatures. When the
+    operator falls silent, the last setpoint ends after 0.2 s and the aircraft brakes; from 3 m/s it
+    takes more than a second to hover. The lease ends after 3 s; then --lost applies.
 
     Args:
         name: Name of the aircraft in the fleet.
@@ -162,10 +138,6 @@ async def agent(
         lost_after: Seconds of hovering before that.
         order_log: Folder in which the agent records orders that it begins, so that none runs twice
             after a restart; by default in the user's state folder, for real aircraft only.
-        pki: Folder with its certificate and key, for a router behind tls/ (M100LINK_PKI).
-        rights: File of rights: the agent refuses orders that are not signed by an identity with the
-            right to them. With --pki it also refuses those of names in revoked.list there, which
-            fleet pki push updates.
         log_rate: Megabytes of flight logs per second that each aircraft sends at most.
     """
     words = url
@@ -186,24 +158,7 @@ async def agent(
     fleet = FleetSettings(
         connect, site, LostLinkPlan(lost, lost_after), kept, log_rate=log_rate * 1e6
     )
-    if pki is not None:
-        fleet = replace(
-            fleet,
-            options=tls_options(pki, name),
-            seals={called: Seal.read(pki, called) for called in aircraft},
-            authority=Revocations.of_folder(pki),
-        )
-    if rights is not None:
-        fleet = replace(fleet, **_checking(Rights.read(rights), aircraft, pki))
     return await _serve(aircraft, fleet, options.run)
-
-
-def _checking(rights: Rights, names: Iterable[str], pki: Path | None) -> dict[str, Any]:
-    """How agents verify orders, and the names that are revoked."""
-    found = None if pki is None else Revocations.of_folder(pki, rights)
-    revoked = nobody if found is None else found.since
-    known = {} if found is None else {"revocations": found, "authority": found}
-    return {"verify": verifying(rights, names, time.time, revoked), **known}
 
 
 async def _serve(aircraft: dict[str, Settings], fleet: FleetSettings, run: RunOptions) -> int:
@@ -218,6 +173,99 @@ async def _serve(aircraft: dict[str, Settings], fleet: FleetSettings, run: RunOp
             await ended.wait()
             teller.do(lambda: err.print("ending: an aircraft that flies hovers"))
     return ExitCode.OK
+
+
+# -- ``m100link fleet make`` and ``up``: a fleet of one file ---------------------------------------
+
+
+def make(file: FleetFile, /, *, renew: bool = False, json: AsJson = None) -> int:
+    """Make all that a fleet file needs, beside it: an authority, certificates, keys and boards.
+
+    pki/ gets the certificates and keys, with the key of the authority: keep it on a machine that
+    does not fly. boards/NAME gets what one machine needs. What is there and good stays.
+
+    Args:
+        renew: Renew all certificates, not only those that end within ten days. Signing keys stay.
+    """
+    rights = Rights.read(file)
+    made = make_certificates(rights, now=datetime.now(UTC), renews=renew)
+    facts = {"made": {name: ends.isoformat(timespec="seconds") for name, ends in made.items()}}
+    lines = [f"{rights.pki / name}.pem: until {ends:%Y-%m-%d}" for name, ends in made.items()]
+    lines.append(f"{file.parent / BOARDS}: a folder for each machine; m100link fleet up {file}")
+    return tell(facts, *lines, as_json=wants_json(json))
+
+
+async def up(
+    file: FleetFile,
+    /,
+    *names: Annotated[str, Parameter(help="Routers, aircraft, or console; by default all.")],
+    real: bool = False,
+    json_output: Json = False,
+    log: LogOptions = AS_IT_IS,
+) -> int:
+    """Run the routers, agents and console of a fleet file, until Ctrl-C; each in its own process.
+
+    Then each aircraft that flies hovers, control goes back, and the routers end last. A process
+    that ends by itself is started again; the others run on.
+
+    Args:
+        real: Own the aircraft at the url of each in the file; else virtual ones.
+    """
+    rights = Rights.read(file)
+    unknown = [name for name in names if name not in parts_of(rights)]
+    if unknown:
+        raise UsageError(
+            f"{file} has no {', '.join(unknown)}",
+            remedy=f"name some of {', '.join(parts_of(rights)) or 'nothing: it is empty'}",
+        )
+    parts = {
+        name: _settings_of(rights, name, is_real=real) if name in rights.aircraft else None
+        for name in parts_of(rights)
+        if not names or name in names
+    }
+    ended = Ended()
+    tell_elsewhere(JOURNAL_LOG)
+    with FlightProgress("talk", MOST_UNWRITTEN) as teller:
+        if len(parts) == 1:
+            [(name, settings)] = parts.items()
+            said = partial(tell_event, teller, log)
+            running: Any = running_part(file, name, settings, said, is_real=real)
+        else:
+
+            def note(text: str, level: str) -> None:
+                teller.do(lambda: err.print(text, style="red" if level == "error" else None))
+
+            running = running_parts(file, parts, note, is_real=real)
+        async with running as facts:
+            found = facts if len(parts) > 1 else dict.fromkeys(parts, facts)
+            lines = [f"{key}: {value}" for one in found.values() for key, value in one.items()]
+            kind = "real" if real else "virtual"
+            lines = [line for line in lines if not line.startswith("agent")]
+            own = ", ".join(name for name in parts if name in rights.aircraft)
+            lines += [f"{kind} aircraft: {own}"] if own else []
+            tell({"up": list(parts), "real": real, **found}, *lines, as_json=json_output)
+            leave_what_stays()
+            await ended.wait()
+            teller.do(lambda: err.print("ending: an aircraft that flies hovers"))
+    return ExitCode.OK
+
+
+def _settings_of(rights: Rights, name: str, *, is_real: bool) -> Settings:
+    """The settings of an aircraft of the file. Raises UsageError: it has no url."""
+    table = dict(rights.settings[name])
+    url = table.pop("url", None)
+    if is_real and url is None:
+        raise UsageError(
+            f"{rights.path} [aircraft.{name}]: no url says where it is",
+            remedy='write url = "/dev/ttyUSB0" there, or leave out --real for a virtual one',
+        )
+    if not is_real:
+        firmware = table.pop("firmware", None)
+        url = "sim://" if firmware is None else f"sim://?firmware={firmware}"
+    known = {one.name for one in fields(AgentOptions)}
+    options = AgentOptions(**{key: value for key, value in table.items() if key in known})
+    [settings] = aircraft_of(options, (f"{name}={url}",)).values()
+    return recorded_apart(settings, name)
 
 
 # -- ``m100link fleet console``: a page in the browser for aircraft that are elsewhere -------------
@@ -275,51 +323,10 @@ async def _serve_console(
 # -- ``m100link fleet pki`` and ``fleet acl``: certificates, and who may do what -------------------
 
 
-pki = group("pki", "Certificates and signing keys of a fleet, and an authority that issues them.")
-acl = group(
-    "acl", "Check a file of rights (who may do what with which aircraft); write a router's rules."
-)
+pki = group("pki", "List and revoke certificates and signing keys of a fleet.")
+acl = group("acl", "List the rights in a fleet file; write a router's rules from it.")
 
 Pki = Annotated[Path | None, Parameter(env_var="M100LINK_PKI")]
-
-
-@pki.command
-def init(folder: Path, /, *, force: bool = False, json: AsJson = None) -> int:
-    """Make an authority: the key that every certificate of the fleet comes from.
-
-    Anybody who has ca.key can issue certificates in any name. Keep the folder on a machine that
-    does not fly.
-
-    Args:
-        folder: Folder for its files; readable by you alone.
-        force: Overwrite an existing authority. All certificates that it issued become worthless.
-    """
-    made = make_authority(folder, now=datetime.now(UTC), force=force)
-    return _tell(made, json)
-
-
-@pki.command
-def issue(
-    kind: Kind,
-    name: str,
-    /,
-    *,
-    folder: Path = Path(),
-    host: tuple[str, ...] = (),
-    force: bool = False,
-    json: AsJson = None,
-) -> int:
-    """Make a certificate for 30 days; for a pilot (an operator) also a key that signs orders.
-
-    Args:
-        kind: Whether it is for a router, an agent, or a pilot: a remote operator.
-        name: Name of the aircraft, the operator or the router, as in the file of rights.
-        folder: Folder of the authority.
-        host: Name or address by which a router is reached; may be repeated.
-        force: Overwrite the certificate of that name; an operator's signing key stays.
-    """
-    now = datetime.now(UTC)
-    return _tell(make_certificate(folder, kind, name, now=now, hosts=host, force=force), json)
 
 
 @pki.command
@@ -330,8 +337,8 @@ def revoke(
 ) -> int:
     """Revoke certificates and keys before they expire; a revoked name stays revoked.
 
-    The command writes revoked.list, which the authority signs. Then bring the list to the agents by
-    fleet pki push, and restart routers with it: nothing else informs them.
+    The command writes revoked.list, which the authority signs. Programs on this machine read it
+    within a second. Bring it to other agents by fleet pki push, and copy it to other routers.
 
     Args:
         names: Names of certificates.
@@ -346,7 +353,7 @@ def revoke(
         {"number": found.number, "names": dict(found.names)},
         f"{folder / LIST}: list {found.number}",
         *(f"  {name}: revoked since {since}" for name, since in found.names.items()),
-        "m100link fleet pki push --all brings it to the agents; restart routers with it",
+        "m100link fleet pki push --all brings it to the agents; copy it to the routers",
         as_json=wants_json(json),
     )
 
@@ -382,7 +389,7 @@ async def push(
         everybody: All that are present.
         folder: Folder with revoked.list; that of --pki by default.
     """
-    place = (options.pki if folder is None else folder) / LIST
+    place = (options.folder if folder is None else folder) / LIST
     try:
         data = place.read_bytes()
     except OSError as error:
@@ -392,18 +399,6 @@ async def push(
         ) from error
     pushed = results_of(names, everybody, options, lambda one: bring(one.bus, one.keys, data))
     return tell_results(await pushed, options)
-
-
-def _tell(made: Issued, json: bool | None) -> int:
-    facts: dict[str, Any] = {
-        "certificate": str(made.certificate),
-        "key": str(made.key),
-        "ends": made.ends.isoformat(timespec="seconds"),
-    }
-    if made.signing_key is not None:
-        facts |= {"signing_key": str(made.signing_key), "public_key": made.public_key}
-    lines = (f"{name.replace('_', ' ')}: {value}" for name, value in facts.items())
-    return tell(facts, *lines, as_json=wants_json(json))
 
 
 @acl.command
@@ -418,7 +413,7 @@ def check(
     """List what each identity may do with each aircraft.
 
     Args:
-        file: A file of rights, TOML.
+        file: A fleet file, TOML.
         who: Name of an identity; may be repeated. All identities by default.
         pki: Folder with revoked.list and ca.pem (M100LINK_PKI): revoked names have no rights.
     """
@@ -462,13 +457,13 @@ def _words(right: Right | None) -> str:
 
 @acl.command
 def zenoh(file: File, target: File, /, *, pki: Pki = None, force: Force = False) -> int:
-    """Write the rules of a zenoh router from a file of rights.
+    """Write the rules of a zenoh router from a fleet file.
 
     They are the value of access_control in its configuration. The router knows clients by the
     common name of the certificate, so it has to ask for one.
 
     Args:
-        file: A file of rights, TOML.
+        file: A fleet file, TOML.
         target: The JSON file to write; - is standard output.
         pki: Folder with revoked.list and ca.pem (M100LINK_PKI): revoked names get no rules.
     """

@@ -24,7 +24,7 @@ from m100link.apps.cli.fleet import (
     tell_results,
 )
 from m100link.apps.cli.fleet_plans import missions, shows
-from m100link.apps.cli.fleet_setup import acl, agent, console, pki, router
+from m100link.apps.cli.fleet_setup import acl, agent, console, make, pki, router, up
 from m100link.apps.cli.fleet_watch import app as log
 from m100link.apps.cli.fleet_watch import lease, monitor, watch
 from m100link.apps.cli.options import Above0, group
@@ -54,7 +54,7 @@ async def list_(*, options: FleetOptions = NO_OPTIONS) -> None:
             print_json(asdict(cards[name]) if name in cards else {"name": name})
         return
     if not names:
-        err.print(f"there is no agent at site {options.site}")
+        err.print(f"there is no agent at site {options.place}")
     else:
         out.print(_table(names, cards))
 
@@ -174,5 +174,19 @@ async def goto(
 
 # -- in the order of their help --------------------------------------------------------------------
 
-for _verb in (router, agent, console, monitor, watch, lease, missions, log, shows, pki, acl):
+for _verb in (
+    make,
+    up,
+    router,
+    agent,
+    console,
+    monitor,
+    watch,
+    lease,
+    missions,
+    log,
+    shows,
+    pki,
+    acl,
+):
     app.command(_verb)

@@ -177,7 +177,7 @@ async def lease(
         facts = {"name": name, "fence": control.fence}
         words = f"{name}: lease {control.fence}, until Ctrl-C"
         tell(facts, words, as_json=options.json_output)
-        with shared(options.site, name, control.proof):
+        with shared(options.place, name, control.proof):
             await ended.wait()
             if not options.json_output:
                 err.print(f"{name}: control goes back: it hovers", markup=False)

@@ -1,15 +1,18 @@
 """Certificates of a fleet: an authority of its own, and certificates for 30 days.
 
-Keys are ECDSA over P-256. Only the owner can read the files; existing files are never overwritten
-without ``force``. The caller gives the time.
+:func:`make` makes all that a fleet file needs. Keys are ECDSA over P-256. Only the owner can read
+the files; existing files are never overwritten without ``force``. The caller gives the time.
 """
 
 from __future__ import annotations
 
+import fcntl
 import ipaddress
+import os
 import re
 import secrets
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from enum import Enum
@@ -17,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from cryptography import x509
+from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.hazmat.primitives.serialization import (
@@ -28,13 +32,15 @@ from cryptography.hazmat.primitives.serialization import (
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from m100link.apps.agent.orders import Right
-from m100link.apps.fleet.identity import Identity, Rights, Signer
+from m100link.apps.fleet.identity import PUBLIC, Identity, Rights, Signer
 from m100link.apps.fleet.keys import LIVE, NAME
 from m100link.apps.fleet.revocations import AUTHORITY, LIST, Revocations, Revoked, sign_revoked
 from m100link.errors import UsageError
 from m100link.link.keyfile import read_token, replace_file
 
 ISSUED_DAYS = 30
+RENEWED_DAYS = 10
+"""A certificate that ends within so many days is made anew."""
 AUTHORITY_DAYS = 730
 _EARLY = timedelta(minutes=5)
 """Valid so long before it is made: clocks differ."""
@@ -49,7 +55,7 @@ class BadAuthority(
     UsageError,
     code="M100-BAD-AUTHORITY",
     cause="the folder is the wrong one, or its files exist already",
-    remedy="`m100link fleet pki init FOLDER` makes an authority, `issue` its certificates",
+    remedy="`m100link fleet make FILE` makes an authority and its certificates",
 ):
     """Certificates that cannot be made, or must not be overwritten."""
 
@@ -171,8 +177,139 @@ def issue(
     if secret is None:
         secret = secrets.token_bytes(32)
         files[signing] = secret.hex().encode() + b"\n"
+    public = Signer(name, secret).public_key.hex()
+    files[folder / f"{name}{PUBLIC}"] = public.encode() + b"\n"
     _write(files, force=force)
-    return Issued(place, its_place, ends, signing, Signer(name, secret).public_key.hex())
+    return Issued(place, its_place, ends, signing, public)
+
+
+# -- everything that a fleet file needs ------------------------------------------------------------
+
+
+BOARDS = "boards"
+"""Folder beside the file, with a folder for each machine: the file, its certificate, its unit."""
+
+_UNIT = """\
+# Copy this folder to {place}, then: systemctl enable --now {place}/{unit}
+[Unit]
+Description=m100link fleet: {name}
+Wants=network-online.target time-sync.target
+After=network-online.target time-sync.target
+StartLimitIntervalSec=120
+StartLimitBurst=5
+
+[Service]
+User=m100
+SupplementaryGroups=dialout
+Environment=PYTHONUNBUFFERED=1 XDG_STATE_HOME=/var/lib/m100/state
+StateDirectory=m100
+ExecStart=/opt/m100/bin/m100link fleet up {place}/{file} {name} --real
+Restart=on-failure
+RestartSec=3
+# SIGTERM lets an aircraft hover and gives control back; a landing may take a minute and a half.
+TimeoutStopSec=120
+Nice=-5
+NoNewPrivileges=yes
+
+[Install]
+WantedBy=multi-user.target
+"""
+
+
+def make(rights: Rights, *, now: datetime, renews: bool = False) -> dict[str, datetime]:
+    """Make an authority, certificates, keys, and a folder for each machine, beside a fleet file.
+
+    What is there and good stays; a certificate that ends soon is made anew.
+
+    ``renews``: all certificates, not only those that end within ten days.
+
+    Returns when each certificate ends that was made, by its name.
+
+    Raises:
+        BadAuthority: Something cannot be made, is revoked, or another program makes it.
+    """
+    wanted: dict[str, tuple[Kind, tuple[str, ...]]] = {
+        **{name: (Kind.ROUTER, one.hosts) for name, one in rights.routers.items()},
+        **{one: (Kind.AGENT, ()) for both in rights.aircraft.items() for one in both},
+        **dict.fromkeys(rights.identities, (Kind.PILOT, ())),
+    }
+    folder, made = rights.pki, {}
+    with _alone(folder):
+        if not list(folder.glob("*.pem")):  # a key alone is left of one that was killed
+            init(folder, now=now, force=True)
+        for name, (kind, hosts) in wanted.items():
+            if renews or not _is_good(folder, name, kind, hosts, now):
+                made[name] = issue(folder, kind, name, now=now, hosts=hosts, force=True).ends
+        for name, (kind, _) in wanted.items():
+            _hand_out(rights, name, kind)
+    return made
+
+
+@contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """Two at once would make two authorities."""
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        handle = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
+    except OSError as error:
+        raise BadAuthority(
+            f"{folder} cannot be made: {error.strerror}", remedy=_ELSEWHERE
+        ) from error
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    except BlockingIOError:
+        raise BadAuthority(
+            f"another program makes certificates in {folder}", remedy="wait until it has ended"
+        ) from None
+    finally:
+        os.close(handle)
+
+
+def _is_good(folder: Path, name: str, kind: Kind, hosts: Sequence[str], now: datetime) -> bool:
+    """Whether all its files are there, fit each other and the authority, and last."""
+    authority, _ = _authority(folder, now)
+    signing = folder / f"{name}.signing.key"
+    try:
+        found = x509.load_pem_x509_certificate((folder / f"{name}.pem").read_bytes())
+        key = load_pem_private_key((folder / f"{name}.key").read_bytes(), None)
+        found.verify_directly_issued_by(authority)
+        names = found.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+        public = Signer(name, _kept(signing)).public_key.hex() if kind is Kind.PILOT else ""
+        known = (folder / f"{name}{PUBLIC}").read_text("ascii").strip() if public else ""
+    except FileNotFoundError:
+        return False
+    except (OSError, ValueError, TypeError, InvalidSignature, x509.ExtensionNotFound):
+        return False
+    return (
+        key.public_key() == found.public_key()
+        and public == known
+        and list(names) == ([_host(host) for host in hosts] or [x509.DNSName(name)])
+        and found.not_valid_after_utc
+        >= min(now + timedelta(days=RENEWED_DAYS), authority.not_valid_after_utc)
+    )
+
+
+def _hand_out(rights: Rights, name: str, kind: Kind) -> None:
+    """The folder of one machine: no key of another one, and not that of the authority."""
+    place, pki = rights.path.parent / BOARDS / name, rights.pki
+    own = {f"{name}.pem", f"{name}.key", f"{name}.signing.key", AUTHORITY, LIST}
+    files = {place / rights.path.name: rights.path.read_bytes()}
+    for path in sorted(pki.iterdir()):
+        if path.name in own or path.suffix == PUBLIC:
+            files[place / pki.name / path.name] = path.read_bytes()
+    if kind is not Kind.PILOT:
+        unit = f"m100link-{name}.service"
+        there = {"place": f"/var/lib/m100/{name}", "unit": unit, "file": rights.path.name}
+        files[place / unit] = _UNIT.format(name=name, **there).encode()
+    try:
+        for made in (place.parent, place, place / pki.name):
+            made.mkdir(mode=0o700, exist_ok=True)
+    except OSError as error:
+        raise BadAuthority(
+            f"{place} cannot be made: {error.strerror}", remedy=_ELSEWHERE
+        ) from error
+    _write(files, force=True)
 
 
 def revoke(folder: Path, names: Sequence[str], *, now: datetime) -> Revoked:
@@ -283,7 +420,7 @@ def _authority(folder: Path, now: datetime) -> tuple[x509.Certificate, ec.Ellipt
     except OSError as error:
         raise BadAuthority(
             f"there is no authority in {folder}: {error.strerror}",
-            remedy=f"m100link fleet pki init {folder}",
+            remedy="run m100link fleet make where the fleet file and the authority's ca.key are",
         ) from error
     except (ValueError, TypeError) as error:
         raise BadAuthority(

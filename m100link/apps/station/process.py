@@ -1,9 +1,11 @@
-"""The other processes of a station: ``python -m m100link.apps.station.process fronts``, ``agent``.
+"""The other processes of a station: ``python -m m100link.apps.station.process`` and a role.
 
 The supervisor starts them, and tells each by one line of JSON on its standard input what to do.
 
 ``agent`` owns one of several aircraft and serves the fronts. When the station has gone it ends in
 order: the aircraft hovers, and control authority goes back.
+
+``part`` is a router, an agent or the console of a fleet file, and ends in the same way.
 
 ``fronts`` talks to strangers, and owns nothing. It has inherited its sockets, by the names of
 :mod:`m100link.apps.station.listeners`. When the agent has gone it says so to its clients for a
@@ -68,6 +70,20 @@ async def _own(request: dict[str, Any], ended: asyncio.Event) -> None:
         await ended.wait()
 
 
+async def _part(request: dict[str, Any], ended: asyncio.Event) -> None:
+    from m100link.apps.station.fleet import running_part, tell_log
+
+    end_with_parent(ended)
+    log_of(request["name"])
+    given = request["settings"]
+    settings = None if given is None else resolve(given, {})
+    place = Path(request["file"]), request["name"]
+    async with running_part(*place, settings, tell_log, is_real=request["is_real"]) as facts:
+        leave_what_stays()
+        answer(**facts)
+        await ended.wait()
+
+
 async def _serve(request: dict[str, Any], ended: asyncio.Event) -> None:
     settings = resolve(request["settings"], {})
     sockets = Sockets.inherited(request["sockets"])
@@ -110,4 +126,4 @@ if __name__ == "__main__":
     role, *loads = sys.argv[1:]
     if loads:
         _load(*json.loads(loads[0]))
-    sys.exit(run_child({"agent": _own, "fronts": _serve}[role]))
+    sys.exit(run_child({"agent": _own, "fronts": _serve, "part": _part}[role]))

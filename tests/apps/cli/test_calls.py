@@ -646,7 +646,7 @@ def test_where_a_router_listens(
     outcome = cli("fleet", "router", *words.split())
     assert (outcome.status, notes) == (
         0,
-        [f"open_fleet('router', {listen=!s}, {connect=!s}, options={{}})"],
+        [f"open_fleet('router', {listen=!s}, {connect=!s})"],
     )
 
 

@@ -28,7 +28,6 @@ from m100link.apps.cli.fleet import (
     reported_when_interrupted,
     tell_results,
 )
-from m100link.apps.cli.terminal import ExitCode
 from m100link.apps.fleet.client import Fleet, connect
 from m100link.apps.fleet.keys import DEFAULT_SITE, Keys
 from m100link.apps.fleet.payloads import Card, Result
@@ -174,21 +173,6 @@ def test_without_a_router_it_is_said_what_to_do(tmp_path: Path) -> None:
     assert done.returncode == 4
     assert "no router answered" in done.stderr
     assert "m100link fleet router --listen tcp/127.0.0.1:9," in done.stderr
-
-
-@pytest.mark.pty
-def test_rules_and_a_way_to_another_router_exclude_each_other(tmp_path: Path) -> None:
-    (tmp_path / "rights.toml").write_text("")
-    words = ("--rights", str(tmp_path / "rights.toml"), "--connect", "tcp/127.0.0.1:1")
-    done = subprocess.run(
-        [sys.executable, "-m", "m100link", "fleet", "router", *words],
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE,
-        check=False,
-    )
-    assert done.returncode == ExitCode.USAGE
-    assert "cannot be combined" in " ".join(done.stderr.split())
 
 
 @pytest.mark.pty

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
+import os
 import socket
 import stat
 import time
@@ -34,6 +36,7 @@ from m100link.apps.fleet.pki import (
     init,
     issue,
     listed,
+    make,
     revoke,
     router_config,
 )
@@ -620,3 +623,72 @@ def test_nobody_comes_without_a_certificate_of_the_authority(site: Site, tmp_pat
     site.endpoint = site.endpoint.replace("tls/", "tcp/")
     with pytest.raises(zenoh.ZError):
         site.come("anna")
+
+
+# -- everything that a fleet file needs ------------------------------------------------------------
+
+
+@pytest.fixture
+def rights(tmp_path: Path) -> Rights:
+    (tmp_path / "fleet.toml").write_text(
+        '[router.base]\nhosts = ["127.0.0.1"]\n[aircraft.a1]\n[identity.anna]\nfly = ["*"]\n'
+    )
+    return Rights.read(tmp_path / "fleet.toml")
+
+
+def test_each_machine_gets_what_it_needs_and_no_key_of_another(rights: Rights) -> None:
+    assert list(make(rights, now=NOW)) == ["base", "a1", "anna"]
+    boards = rights.path.parent / "boards"
+    files = {
+        place.name: sorted(str(one.relative_to(place)) for one in place.rglob("*.*"))
+        for place in boards.iterdir()
+    }
+    own = {name: [f"pki/{name}.key", f"pki/{name}.pem"] for name in files}
+    shared = ["fleet.toml", "pki/ca.pem"]
+    assert files == {
+        "a1": sorted([*shared, *own["a1"], "m100link-a1.service", "pki/anna.pub"]),
+        "base": sorted([*shared, *own["base"], "m100link-base.service", "pki/anna.pub"]),
+        "anna": sorted([*shared, *own["anna"], "pki/anna.pub", "pki/anna.signing.key"]),
+    }
+    modes = {stat.S_IMODE(one.stat().st_mode) for one in [boards, *boards.rglob("*")]}
+    assert modes == {0o600, 0o700}
+    unit = (boards / "a1/m100link-a1.service").read_text()
+    assert "m100link fleet up /var/lib/m100/a1/fleet.toml a1 --real\n" in unit
+
+
+def test_only_what_is_missing_damaged_or_ends_soon_is_made_anew(rights: Rights) -> None:
+    make(rights, now=NOW)
+    key = (rights.pki / "anna.signing.key").read_bytes()
+    assert make(rights, now=NOW + timedelta(days=19)) == {}
+    (rights.pki / "a1.key").write_bytes(
+        (rights.pki / "base.key").read_bytes()
+    )  # killed between two
+    (rights.pki / "anna.pub").write_text("0a" * 32)
+    assert list(make(rights, now=NOW)) == ["a1", "anna"]
+    assert (rights.pki / "anna.signing.key").read_bytes() == key
+    assert list(make(rights, now=NOW + timedelta(days=21))) == ["base", "a1", "anna"]
+    rights.path.write_text(rights.path.read_text().replace("127.0.0.1", "10.0.0.1"))
+    assert list(make(Rights.read(rights.path), now=NOW + timedelta(days=21))) == ["base"]
+
+
+def test_a_make_that_was_killed_is_ended_by_the_next_one(rights: Rights) -> None:
+    rights.pki.mkdir()
+    (rights.pki / "ca.key").write_text("half")
+    make(rights, now=NOW)
+    authority = (rights.pki / "ca.pem").read_bytes()
+    (rights.pki / "ca.key").unlink()  # as on a board
+    with pytest.raises(BadAuthority, match="there is no authority"):
+        make(rights, now=NOW)
+    assert (rights.pki / "ca.pem").read_bytes() == authority
+
+
+def test_two_that_make_at_once_make_no_two_authorities(rights: Rights) -> None:
+    rights.pki.mkdir()
+    handle = os.open(rights.pki, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX)
+        with pytest.raises(BadAuthority, match="another program makes certificates"):
+            make(rights, now=NOW)
+    finally:
+        os.close(handle)
+    assert list(rights.pki.iterdir()) == []
