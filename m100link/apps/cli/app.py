@@ -87,6 +87,7 @@ _ROWS = {
         ("fleet goto", "", "a1 52.1 4.31 10", "a1 -33.9 18.4 10 --speed 3"),
         ("fleet make", "", "fleet.toml", "fleet.toml --renew"),
         ("fleet up", "", "fleet.toml", "fleet.toml a1 --real"),
+        ("fleet doctor", "", "fleet.toml", "fleet.toml --json"),
         ("fleet router", "", "", "--listen tcp/0.0.0.0:7447 --connect tcp/other:7447"),
         ("fleet agent", "", "sim:// --count 3", "lab-m100 --name a1 --lost land"),
         ("fleet console", "", "", "a1 a2 --no-open-browser"),

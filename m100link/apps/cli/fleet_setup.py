@@ -1,4 +1,4 @@
-"""``m100link fleet make``, ``up``, ``router``, ``agent``, ``console``, ``pki`` and ``acl``."""
+"""``m100link fleet``: a fleet of one file, a router, an agent, a console, certificates, rights."""
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ from m100link.apps.cli.fleet import (
     FleetOptions,
     Names,
     results_of,
+    say,
     tell,
     tell_results,
     write_out,
@@ -58,13 +59,11 @@ from m100link.apps.station.config import ONLY_NAME, Settings, resolve
 from m100link.apps.station.fleet import (
     FleetSettings,
     default_order_logs,
-    parts_of,
     recorded_apart,
-    running_part,
-    running_parts,
     serving_fleet,
     serving_fleet_console,
 )
+from m100link.apps.station.fleet_file import examine, parts_of, running_part, running_parts
 from m100link.apps.station.log_output import FlightProgress, tell_elsewhere
 from m100link.apps.station.supervisor import leave_what_stays
 from m100link.errors import UsageError
@@ -182,7 +181,7 @@ def make(file: FleetFile, /, *, renew: bool = False, json: AsJson = None) -> int
     """Make all that a fleet file needs, beside it: an authority, certificates, keys and boards.
 
     pki/ gets the certificates and keys, with the key of the authority: keep it on a machine that
-    does not fly. boards/NAME gets what one machine needs. What is there and good stays.
+    does not fly. boards/NAME gets what one machine needs. Good files stay.
 
     Args:
         renew: Renew all certificates, not only those that end within ten days. Signing keys stay.
@@ -266,6 +265,20 @@ def _settings_of(rights: Rights, name: str, *, is_real: bool) -> Settings:
     options = AgentOptions(**{key: value for key, value in table.items() if key in known})
     [settings] = aircraft_of(options, (f"{name}={url}",)).values()
     return recorded_apart(settings, name)
+
+
+async def doctor(file: FleetFile, /, *, json: AsJson = None) -> int:
+    """Prove each leg and each right of a fleet that runs, and name what is wrong before a flight.
+
+    Each operator whose signing key is in pki/ beside the file asks each aircraft by each router for
+    its state, its fleet file and who has control. Nothing moves, and nobody loses control.
+    """
+    as_json = wants_json(json)
+    found = await examine(Rights.read(file), lambda text: None if as_json else say(f"✓ {text}"))
+    for one in found:
+        facts = {"fault": one.fault, "name": one.name, "seen": one.seen, "remedy": one.remedy}
+        tell(facts, f"✗ {one.fault}: {one.seen}", f"  {one.remedy}", as_json=as_json)
+    return ExitCode.FAILED if found else ExitCode.OK
 
 
 # -- ``m100link fleet console``: a page in the browser for aircraft that are elsewhere -------------

@@ -1,17 +1,23 @@
-"""``m100link fleet``: the list, orders to many aircraft at once, and the verbs of other files."""
+"""``m100link fleet``: the list, orders to many aircraft, logs, and the verbs of other files."""
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import time
 from collections.abc import Awaitable, Callable
+from contextlib import nullcontext
 from dataclasses import asdict
-from typing import Annotated
+from pathlib import Path
+from typing import Annotated, Any
 
 from cyclopts import Parameter
+from rich.filesize import decimal
+from rich.live import Live
+from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TransferSpeedColumn
 from rich.table import Table
 
-from m100link.apps.cli.common import err, out
+from m100link.apps.cli.common import Ended, err, out
 from m100link.apps.cli.fleet import (
     NO_OPTIONS,
     All,
@@ -20,19 +26,27 @@ from m100link.apps.cli.fleet import (
     Left,
     Name,
     Names,
+    TakeOver,
     results_of,
+    say,
+    shared,
+    tell,
     tell_results,
 )
 from m100link.apps.cli.fleet_plans import missions, shows
 from m100link.apps.cli.fleet_setup import acl, agent, console, make, pki, router, up
-from m100link.apps.cli.fleet_watch import app as log
-from m100link.apps.cli.fleet_watch import lease, monitor, watch
-from m100link.apps.cli.options import Above0, group
-from m100link.apps.cli.terminal import print_json
-from m100link.apps.fleet.client import FleetAircraft
+from m100link.apps.cli.options import Above0, AtMost, group
+from m100link.apps.cli.terminal import ExitCode, ReaderGone, print_json
+from m100link.apps.fleet.client import Fleet, FleetAircraft
 from m100link.apps.fleet.identity import WINDOW_S
-from m100link.apps.fleet.keys import in_order
-from m100link.apps.fleet.payloads import Card
+from m100link.apps.fleet.keys import Keys, in_order
+from m100link.apps.fleet.logs.fetching import Fetched
+from m100link.apps.fleet.payloads import Card, Result
+from m100link.apps.fleet.publisher import FleetTelemetry
+from m100link.errors import UsageError
+from m100link.protocol.items import BY_RECORD
+from m100link.protocol.records import Battery, FlightStatus, Position, Velocity
+from m100link.telemetry.sample import Sample
 
 app = group(
     "fleet", "Fly many aircraft on many machines: a router, agents on board, operators, formations."
@@ -170,6 +184,263 @@ async def goto(
             )
 
     return await _each((name,), False, options, fly, _GOTO)
+
+
+# -- ``m100link fleet monitor``, ``watch`` and ``lease`` -------------------------------------------
+
+
+_OLD_S = 2.0
+
+
+async def _until(ended: asyncio.Event, seconds: float) -> bool:
+    """Wait; whether it goes on."""
+    with contextlib.suppress(TimeoutError):
+        async with asyncio.timeout(seconds):
+            await ended.wait()
+    return not ended.is_set()
+
+
+async def monitor(
+    *,
+    rate: Annotated[float, Above0] = 2.0,
+    duration: AtMost = None,
+    options: FleetOptions = NO_OPTIONS,
+) -> None:
+    """Watch all aircraft until Ctrl-C: the newest values of each, and their age.
+
+    Agents send each item five times a second for this, or at its own rate if that is lower. With
+    --json the command prints one object for each aircraft and second.
+
+    Args:
+        rate: Tables drawn per second.
+    """
+    ended = Ended()
+    if duration is not None:
+        asyncio.get_running_loop().call_later(duration, ended.set)
+    async with options.open() as fleet:
+        heard = FleetTelemetry(fleet.bus, fleet.keys)
+        if options.json_output:
+            while await _until(ended, 1.0):
+                for name in in_order(fleet.present | set(heard.states)):
+                    print_json(_facts(fleet, heard, name))
+            return
+        with Live(console=out, auto_refresh=False) as live:
+            while await _until(ended, 1 / rate):
+                live.update(_wall(fleet, heard), refresh=True)
+
+
+def _facts(fleet: Fleet, heard: FleetTelemetry, name: str) -> dict[str, Any]:
+    state = heard.states.get(name)
+    facts: dict[str, Any] = {"name": name, "is_there": name in fleet.present}
+    facts["received"] = heard.received[name]
+    if state is not None:
+        facts["age"] = state.newest_age
+        kinds: tuple[type[Any], ...] = (Position, Velocity, Battery, FlightStatus)
+        for kind in kinds:
+            value = state.fresh(kind, now=state.newest_at)
+            facts[BY_RECORD[kind].name] = None if value is None else value._asdict()
+    return facts
+
+
+def _wall(fleet: Fleet, heard: FleetTelemetry) -> Table:
+    titles = ("name", "age", "phase", "height", "speed", "battery", "place")
+    table = Table(*titles, box=None, pad_edge=False)
+    for name in in_order(fleet.present | set(heard.states)):
+        state = heard.states.get(name)
+        if state is None:
+            table.add_row(name, "never heard")
+            continue
+        # The state when it was heard last: an item that was old by then tells nothing.
+        at, age = state.newest_at, state.newest_age or 0.0
+        status, position = state.fresh(FlightStatus, now=at), state.fresh(Position, now=at)
+        velocity, battery = state.fresh(Velocity, now=at), state.fresh(Battery, now=at)
+        phase = status.phase if status is not None else None
+        row = [
+            name,
+            f"{age:.1f} s" if name in fleet.present else f"gone, {age:.0f} s",
+            "" if phase is None else phase.name.lower().replace("_", " "),
+            "" if position is None else f"{position.height_m:z.1f} m",
+            "" if velocity is None else f"{velocity.ground_speed_m_s:.1f} m/s",
+            "" if battery is None else f"{battery.percent} %",
+            "" if position is None else f"{position.latitude_deg:.6f} {position.longitude_deg:.6f}",
+        ]
+        is_old = age > _OLD_S or name not in fleet.present
+        table.add_row(*row, style="red" if is_old else "")
+    return table
+
+
+async def watch(
+    name: Name,
+    /,
+    *,
+    duration: AtMost = None,
+    options: FleetOptions = NO_OPTIONS,
+) -> None:
+    """Print every telemetry package of one aircraft until Ctrl-C: one JSON object for each."""
+    ended = Ended()
+    gone: ReaderGone | None = None
+
+    def tell(_: str, sample: Sample) -> None:
+        nonlocal gone
+        if gone is not None:
+            return
+        try:
+            print_json(_package(sample))
+        except ReaderGone as error:
+            # The subscription that calls this takes no error, and later samples would be lost.
+            gone = error
+            ended.set()
+
+    if duration is not None:
+        asyncio.get_running_loop().call_later(duration, ended.set)
+    async with options.open() as fleet:
+        keys = Keys(fleet.keys.site, name)
+        heard = FleetTelemetry(fleet.bus, keys, full=True, on_sample=tell)
+        await ended.wait()
+        heard.close()
+        err.print(f"{heard.received[name]} packages", markup=False)
+    if gone is not None:
+        raise gone
+
+
+def _package(sample: Sample) -> dict[str, Any]:
+    values: dict[str, Any] = {"received_at": sample.received_at}
+    for kind, item in BY_RECORD.items():
+        value = sample.get(kind)
+        if value is not None:
+            values[item.name] = value._asdict()
+    return values
+
+
+async def lease(
+    name: Name, /, *, take_over: TakeOver = False, options: FleetOptions = NO_OPTIONS
+) -> None:
+    """Take control of one aircraft and hold it, hovering, until Ctrl-C.
+
+    Meanwhile `fleet mission upload` and `start` of the same account act under this lease.
+    """
+    ended = Ended()
+    async with options.open() as fleet, fleet[name].control(take_over=take_over) as control:
+        facts = {"name": name, "fence": control.fence}
+        words = f"{name}: lease {control.fence}, until Ctrl-C"
+        tell(facts, words, as_json=options.json_output)
+        with shared(options.place, name, control.proof):
+            await ended.wait()
+            if not options.json_output:
+                err.print(f"{name}: control goes back: it hovers", markup=False)
+
+
+# -- ``m100link fleet log``: the flight logs that lie on board -------------------------------------
+
+
+log = group("log", "List and fetch the flight logs that agents have recorded on board.")
+
+
+def _failures(results: dict[str, Result], options: FleetOptions) -> int:
+    """Tell what went wrong; the exit status."""
+    bad = {name: one for name, one in results.items() if not one.is_ok}
+    return ExitCode.OK if results and not bad else tell_results(bad, options)
+
+
+@log.command(name="list")
+async def logs(*names: Names, everybody: All = False, options: FleetOptions = NO_OPTIONS) -> int:
+    """List the flight logs on board, the newest first."""
+    results = await results_of(names, everybody, options, FleetAircraft.logs)
+    rows = [
+        (name, one)
+        for name, result in sorted(results.items())
+        if isinstance(result.value, list)
+        for one in result.value
+    ]
+    if rows and not options.json_output:
+        say(f"{'name':12} {'log':32} {'size':>9}  last written (UTC)")
+    for name, one in rows:
+        at = time.strftime("%Y-%m-%d %H:%M:%S", time.gmtime(one.at))
+        is_written = ", and still" if one.is_written else ""
+        words = f"{name:12} {one.log:32} {decimal(one.size):>9}  {at}{is_written}"
+        tell({"name": name} | asdict(one), words, as_json=options.json_output)
+    if results and not rows and not options.json_output:
+        err.print("no logs")
+    return _failures(results, options)
+
+
+@log.command
+async def fetch(
+    *names: Names,
+    everybody: All = False,
+    last: bool = False,
+    file: str = "",
+    to: Path = Path(),
+    options: FleetOptions = NO_OPTIONS,
+) -> int:
+    """Fetch a flight log of each aircraft into a file NAME-LOG.
+
+    If Ctrl-C or the network cuts it off, the part stays in a file that ends in .part, and the same
+    command continues. A log that is still being written is fetched up to its current end.
+
+    Args:
+        last: The newest log of each, as without --file.
+        file: The log of that name, as `m100link fleet log list` shows it.
+        to: Folder for the file.
+    """
+    if last and file:
+        raise UsageError("--last and --file name two logs", remedy="leave out one of them")
+    shown = _Shown(is_quiet=options.json_output)
+
+    async def one(aircraft: FleetAircraft) -> Fetched:
+        fetched = await aircraft.fetch_log(file, to, shown.listener(aircraft.name))
+        shown.done(fetched)
+        return fetched
+
+    try:
+        with shown.bar:
+            results = await results_of(names, everybody, options, one)
+    except asyncio.CancelledError:
+        shown.interrupted()
+        raise
+    return _failures(results, options)
+
+
+class _Shown:
+    """How far each log is: bars in a terminal, a line for each that is here."""
+
+    def __init__(self, *, is_quiet: bool) -> None:
+        self._is_json = is_quiet
+        columns = (TextColumn("{task.description}"), BarColumn(), DownloadColumn())
+        self._progress = Progress(*columns, TransferSpeedColumn(), console=err, transient=True)
+        self._at: dict[str, tuple[int, int]] = {}
+
+    @property
+    def bar(self) -> Any:
+        """Is on the terminal while the block runs; a pipe has none."""
+        return self._progress if err.is_terminal else nullcontext()
+
+    def listener(self, name: str) -> Callable[[int, int], None]:
+        """Takes how far the log of one aircraft is."""
+        bar = self._progress.add_task(name, total=None, visible=False)
+
+        def tell(at: int, size: int) -> None:
+            self._at[name] = (at, size)
+            self._progress.update(bar, total=size, completed=at, visible=True)
+
+        return tell
+
+    def done(self, fetched: Fetched) -> None:
+        """One is here."""
+        self._at.pop(fetched.name, None)
+        text = f"{fetched.size:,} bytes"
+        if fetched.came < fetched.size:
+            text += f", of which {fetched.size - fetched.came:,} were here already"
+        if fetched.is_written:
+            text += "; the log is still being written, and this is its part so far"
+        facts = asdict(fetched) | {"path": str(fetched.path), "outcome": "ok"}
+        tell(facts, f"{fetched.name}: {fetched.path}: {text}", as_json=self._is_json)
+
+    def interrupted(self) -> None:
+        """Say how much is here of each log that was not finished."""
+        for name, (at, size) in self._at.items():
+            text = f"{name}: {at:,} of {size:,} bytes are here; the same command continues"
+            say(text, to=err)
 
 
 # -- in the order of their help --------------------------------------------------------------------

@@ -23,7 +23,14 @@ from typing import Any, TypeVar
 import m100link
 from m100link.apps.agent import orders
 from m100link.apps.agent.client import AgentClient, Hearing
-from m100link.apps.agent.messages import Event, EventTopic, MessageError, Telemetry
+from m100link.apps.agent.messages import (
+    Event,
+    EventTopic,
+    MessageError,
+    RemoteError,
+    Telemetry,
+    fault_of,
+)
 from m100link.apps.agent.orders import Age, Right
 from m100link.apps.bus.network import Bus, Held, Question
 from m100link.apps.fleet import payloads
@@ -44,6 +51,7 @@ HOLD_S = 0.5
 
 _ID = re.compile(r"[0-9a-f]{32}")
 _CARD_S = 1.0
+_DISKS_S = 10.0
 _DUPLICATE_S = 2.0
 _READ_AT_ONCE_BYTES = 2048
 """Bytes of an order that is read at once: with its signature STOP has 300."""
@@ -88,8 +96,12 @@ class FleetAgent:
         verify: Verify | None = None,
         revoked: Since = nobody,  # who is shut out
         utc: Callable[[], float] = time.time,  # POSIX time, s
+        # Looks for room on the disks, which takes as long as they do; None: nothing is kept there.
+        disks: Callable[[], M100Error | None] | None = None,
     ) -> None:
         self.client = client
+        self._disks = disks
+        self._disk_fault: RemoteError | None = None
         self._bus = bus
         self._keys = keys
         self._order_log = order_log
@@ -149,6 +161,8 @@ class FleetAgent:
                     group.create_task(self._last_flight.keep())
                     group.create_task(self._answer_long())
                     group.create_task(self._tell_state())
+                    if self._disks is not None:
+                        group.create_task(self._look_at_disks(self._disks))
             finally:
                 self.client.on_event.remove(self._on_event)
                 self.client.on_sample.remove(self._on_sample)
@@ -217,6 +231,11 @@ class FleetAgent:
             await asyncio.sleep(max(0.0, due - clock()))
             due += _CARD_S * (1 + max(0.0, clock() - due) // _CARD_S)
 
+    async def _look_at_disks(self, disks: Callable[[], M100Error | None]) -> None:
+        while True:
+            self._disk_fault = fault_of(await asyncio.to_thread(disks))
+            await asyncio.sleep(_DISKS_S)
+
     def _on_own_state(self, key: str, payload: bytes) -> None:
         try:
             card: payloads.Card = payloads.unpack(payloads.Card, payload)
@@ -245,7 +264,7 @@ class FleetAgent:
             boot=self.boot,
             at=self._utc(),
             connection="lost" if view.hearing is Hearing.SILENT else state.connection,
-            fault=state.connection_fault or state.activation_fault,
+            fault=state.connection_fault or state.activation_fault or self._disk_fault,
             firmware=state.firmware,
             holder=view.holder.name,
             fence=view.holder.number,

@@ -420,7 +420,7 @@ def _remedies(connect: tuple[str, ...], options: Mapping[str, str]) -> dict[str,
     place = ", ".join(connect)
     start = f"m100link fleet router --listen {place}, if none runs there"
     if place.startswith("tls/") and not any("tls" in name for name in options):
-        start = f"give --identity and --pki (an agent --pki): {place} wants a certificate"
+        start = f"give --identity: {place} wants a certificate"
     return {"client": start, "router": "check where it listens, and that the port is free"}
 
 

@@ -13,7 +13,7 @@ import math
 import re
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
-from enum import Enum
+from enum import StrEnum
 from pathlib import Path
 from typing import Any, Self
 
@@ -453,7 +453,7 @@ clock will do for all that moves nothing, with the run of the agent that shows i
 _PURGED_AT = 1024
 
 
-class Reason(Enum):
+class Reason(StrEnum):
     """Why an agent refuses an order."""
 
     UNKNOWN_KEY = "unknown key"

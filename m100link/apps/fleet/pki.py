@@ -178,8 +178,7 @@ def issue(
         secret = secrets.token_bytes(32)
         files[signing] = secret.hex().encode() + b"\n"
     public = Signer(name, secret).public_key.hex()
-    files[folder / f"{name}{PUBLIC}"] = public.encode() + b"\n"
-    _write(files, force=force)
+    _write(files | {folder / f"{name}{PUBLIC}": f"{public}\n".encode()}, force=force)
     return Issued(place, its_place, ends, signing, public)
 
 
@@ -219,7 +218,7 @@ WantedBy=multi-user.target
 def make(rights: Rights, *, now: datetime, renews: bool = False) -> dict[str, datetime]:
     """Make an authority, certificates, keys, and a folder for each machine, beside a fleet file.
 
-    What is there and good stays; a certificate that ends soon is made anew.
+    Good files stay; a certificate that ends soon is made anew.
 
     ``renews``: all certificates, not only those that end within ten days.
 

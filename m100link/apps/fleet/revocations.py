@@ -153,7 +153,7 @@ class Revocations:
     ) -> None:
         self.authority = authority
         self._path = path
-        self._rights = rights
+        self.rights = rights
         self._seen: object = None
         self._kept = b""
         self._keeping = asyncio.Lock()
@@ -192,7 +192,7 @@ class Revocations:
     def since(self, name: str) -> str:
         """Since when a name is revoked, as itself or as that of its certificate; or empty."""
         names = self.revoked.names
-        one = None if self._rights is None else self._rights.identity(name)
+        one = None if self.rights is None else self.rights.identity(name)
         common_name = name if one is None else one.common_name
         return names.get(name) or names.get(common_name, "")
 
@@ -331,15 +331,23 @@ class RevocationService:
             fault = error
         finally:
             self._waiting -= 1
-        number = self._revocations.number
-        reply = OrderReply.done("", self._keys.name, self._boot, fault, number=number)
+        found = self._revocations
+        rights = "" if found.rights is None else found.rights.digest
+        more: dict[str, Any] = {"number": found.number, "text": rights}
+        reply = OrderReply.done("", self._keys.name, self._boot, fault, **more)
         question.answer(self._keys.revoked, pack(reply))
 
 
 async def bring(bus: Bus, keys: Keys, data: bytes = b"") -> int:
-    """Bring a list to an agent, which believes it when it is newer.
+    """Bring a list to an agent, which believes it when it is newer. Raises: as :func:`in_force`.
 
     Returns number of the list in force there; 0 for none.
+    """
+    return (await in_force(bus, keys, data)).number
+
+
+async def in_force(bus: Bus, keys: Keys, data: bytes = b"") -> OrderReply:
+    """Ask an agent for the number of its list, and for the digest of its fleet file as the text.
 
     Raises:
         Unreachable: There is no such agent.
@@ -359,10 +367,10 @@ async def bring(bus: Bus, keys: Keys, data: bytes = b"") -> int:
         if reply is not None and reply.fault is not None:
             raise reply.fault.error()
         if reply is not None:
-            return reply.number
+            return reply
     raise OutcomeUnknown(
         f"{keys.name} does not say which list of revoked names it has",
-        cause="its agent has no --rights, no --pki or an older release, the link is cut, or the "
+        cause="its agent has no fleet file or an older release, the link is cut, or the "
         "router lets nothing pass: to bring a list needs the right to stop",
         remedy=f"copy {LIST} into the folder of its certificates",
     )

@@ -70,7 +70,7 @@ def verifying(
 
 
 def read_signer(folder: Path, name: str) -> Signer:
-    """Read an operator's signing key, as ``fleet pki issue pilot`` made it.
+    """Read an operator's signing key, as ``fleet make`` made it.
 
     Raises:
         UsageError: There is none, it is not a key, or others can read it.
@@ -101,11 +101,10 @@ def _warn_of_end(certificate: Path, name: str) -> None:
     if left < timedelta(days=3):
         _logger.warning(
             "the certificate of %s expire%s on %s: no router behind tls/ lets it in then; renew it "
-            "by m100link fleet pki issue … %s --force",
+            "by m100link fleet make",
             name,
             "s" if left > timedelta() else "d",
             f"{ends:%Y-%m-%d}",
-            name,
         )
 
 
@@ -150,7 +149,7 @@ class Seal:
 
     @classmethod
     def read(cls, folder: Path, name: str) -> Seal:
-        """The certificate and key of an aircraft, as ``fleet pki issue agent`` made them.
+        """The certificate and key of an aircraft, as ``fleet make`` made them.
 
         Raises UsageError: one of them is missing, or is none.
         """
@@ -161,12 +160,12 @@ class Seal:
             raise UsageError(
                 f"{name} has no certificate and key in {folder}: {error}",
                 cause="each aircraft signs what it says by the certificate of its own name",
-                remedy=f"m100link fleet pki issue agent {name}",
+                remedy="m100link fleet make makes them",
             ) from error
         if not isinstance(key, ec.EllipticCurvePrivateKey):
             raise UsageError(
                 f"{folder / name}.key is no key of this program",
-                remedy=f"m100link fleet pki issue agent {name}",
+                remedy="m100link fleet make makes them",
             )
         return cls(key, certificate)
 
@@ -382,7 +381,7 @@ class SealedBus:
         self._warned_at[name] = now
         _logger.warning(
             "somebody else speaks in the name of %s, and is not believed: %s "
-            "(or its agent runs without --pki)",
+            "(or its agent has no fleet file)",
             name,
             why,
         )

@@ -3,11 +3,19 @@
 from __future__ import annotations
 
 import asyncio
-import json
 import logging
+import shutil
 import time
-from collections.abc import AsyncIterator, Callable, Collection, Coroutine, Mapping, Sequence
-from contextlib import AsyncExitStack, asynccontextmanager, nullcontext
+from collections.abc import (
+    AsyncIterator,
+    Callable,
+    Collection,
+    Coroutine,
+    Iterable,
+    Mapping,
+    Sequence,
+)
+from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -19,18 +27,19 @@ from m100link.apps.agent.transports import Channel, memory_channels
 from m100link.apps.bus.network import Bus
 from m100link.apps.fleet.agent import FleetAgent, Verify
 from m100link.apps.fleet.carrier import FleetChannel
-from m100link.apps.fleet.client import Fleet, connect, open_fleet
-from m100link.apps.fleet.identity import Rights, nobody
+from m100link.apps.fleet.client import Fleet, open_fleet
+from m100link.apps.fleet.identity import (
+    nobody,
+)
 from m100link.apps.fleet.keys import DEFAULT_SITE, Keys, check_name, in_order
 from m100link.apps.fleet.logs.service import RATE, LogService
 from m100link.apps.fleet.lost_link import LostLinkPlan
 from m100link.apps.fleet.order_log import FileOrderLog, MemoryOrderLog, OrderLog
-from m100link.apps.fleet.pki import router_config
 from m100link.apps.fleet.publisher import StatePublisher
 from m100link.apps.fleet.revocations import Revocations, RevocationService
 from m100link.apps.fleet.show.service import Beside, ShowService
-from m100link.apps.fleet.signing import Seal, read_signer, signing, tls_options, verifying
-from m100link.apps.station.config import Settings, resolve
+from m100link.apps.fleet.signing import Seal
+from m100link.apps.station.config import Settings
 from m100link.apps.station.listeners import (
     Fronts,
     beside,
@@ -38,9 +47,14 @@ from m100link.apps.station.listeners import (
     open_sockets,
     serving_fronts,
 )
-from m100link.apps.station.run import END_TIMEOUT, agent_settings, owning
-from m100link.apps.station.supervisor import ChildProcess, supervised
-from m100link.errors import LinkError, M100Error, Unreachable, UsageError
+from m100link.apps.station.run import owning
+from m100link.errors import (
+    LinkError,
+    M100Error,
+    OutOfResources,
+    Unreachable,
+    UsageError,
+)
 from m100link.log.folder import state_folder
 
 # -- agents of a fleet, in one process -------------------------------------------------------------
@@ -164,9 +178,32 @@ async def _agent(
     owner.service.attach(its)
     client = await stack.enter_async_context(AgentClient(ours, "fleet"))
     revoked = nobody if fleet.revocations is None else fleet.revocations.since
-    return FleetAgent(
-        client, bus, keys, order_log, lost=fleet.lost, verify=fleet.verify, revoked=revoked
-    )
+    kept = [fleet.order_logs, None if settings.no_record else settings.record]
+    disks = partial(room, [folder for folder in kept if folder is not None])
+    more: dict[str, Any] = {"lost": fleet.lost, "verify": fleet.verify, "revoked": revoked}
+    return FleetAgent(client, bus, keys, order_log, disks=disks, **more)
+
+
+FULL_MB, SCARCE_MB = 1, 50
+"""Megabytes below which a disk counts as full, and below which a flight has no room for its log."""
+
+
+def room(folders: Iterable[Path]) -> M100Error | None:
+    """The error for a disk without room for order logs or flight logs; None for enough."""
+    for folder in folders:
+        there = next(one for one in (folder, *folder.parents) if one.is_dir())
+        try:
+            left = shutil.disk_usage(there).free / 1e6
+        except OSError as error:
+            return OutOfResources(f"{there} cannot be read: {error.strerror}", remedy="check it")
+        if left < SCARCE_MB:
+            what = "full disk" if left < FULL_MB else "no log space"
+            return OutOfResources(
+                f"{what}: {left:.0f} MB are left for {folder}",
+                cause="an hour of flight writes ten to forty megabytes",
+                remedy="remove old flight logs there, or name a folder of another disk",
+            )
+    return None
 
 
 # -- the console over a fleet ----------------------------------------------------------------------
@@ -295,167 +332,3 @@ async def serving_fleet_console(
 
         async with beside({"m100link console: come": come(), "m100link console: look": look()}):
             yield fronts
-
-
-# -- the parts of a fleet file ---------------------------------------------------------------------
-
-CONSOLE = "console"
-"""Name of the console of a fleet file, beside those of routers and aircraft."""
-
-_LOOK_AT_LIST_S = 1.0
-
-
-def parts_of(rights: Rights) -> list[str]:
-    """The names of all that runs for a fleet file, in the order in which it starts."""
-    return [*rights.routers, *rights.aircraft, *([CONSOLE] if rights.console else [])]
-
-
-def console_settings(rights: Rights) -> Settings:
-    """The settings of the console. Raises ``UsageError``: one of them cannot be."""
-    given = {name: value for name, value in rights.console.items() if name != "identity"}
-    return resolve({}, {}, of_aircraft=lambda _: [(f"{rights.path} [console]", given)])
-
-
-def agent_of(rights: Rights, name: str, *, is_real: bool) -> FleetSettings:
-    """How the agent of an aircraft is part of the fleet of a file.
-
-    Raises ``UsageError``: it has no certificate, or the list of revoked names is none.
-    """
-    table = rights.settings[name]
-    revocations = Revocations.of_folder(rights.pki, rights)
-    return FleetSettings(
-        rights.endpoints,
-        rights.site,
-        LostLinkPlan(table.get("lost", "hover"), table.get("lost_after", 10.0)),
-        default_order_logs() if is_real else None,
-        tls_options(rights.pki, rights.aircraft[name]),
-        seals={name: Seal.read(rights.pki, name)},
-        authority=revocations,
-        verify=verifying(rights, [name], time.time, revocations.since),
-        revocations=revocations,
-    )
-
-
-@asynccontextmanager
-async def routing(rights: Rights, name: str) -> AsyncIterator[None]:
-    """Be a router of the file, linked with the others, while the block runs.
-
-    With a newer list of revoked names it begins anew: aircraft that somebody flies hover then.
-    Raises ``UsageError``: it has no certificate, or its port is taken.
-    """
-    own = rights.routers[name]
-    others = tuple(one.endpoint for other, one in rights.routers.items() if other != name)
-    revocations = Revocations.of_folder(rights.pki)
-
-    @asynccontextmanager
-    async def opened() -> AsyncIterator[None]:
-        rules = router_config(rights.without(revocations.revoked.names))
-        options = tls_options(rights.pki, name, listens=True)
-        options["access_control"] = json.dumps(rules)
-        async with open_fleet("router", listen=(own.listen,), connect=others, options=options):
-            yield
-
-    async def renew(session: AsyncExitStack) -> None:
-        while True:
-            await asyncio.sleep(_LOOK_AT_LIST_S)
-            try:
-                is_new = await revocations.look()
-            except M100Error as error:
-                _logger.error("%s", error.seen)
-                continue
-            if is_new:
-                _logger.warning("list %d of revoked names is in force", revocations.number)
-                await session.aclose()
-                await session.enter_async_context(opened())
-
-    async with AsyncExitStack() as session:
-        await session.enter_async_context(opened())
-        async with beside({f"m100link router: {name}": renew(session)}):
-            yield
-
-
-@asynccontextmanager
-async def running_part(
-    path: Path,  # the fleet file
-    name: str,  # one of :func:`parts_of`
-    settings: Settings | None,  # of an aircraft
-    tell: Callable[[str, Event], None],  # called with the name of an aircraft and each event
-    *,
-    is_real: bool,
-) -> AsyncIterator[dict[str, Any]]:
-    """Run one part of a fleet file while the block runs; facts for people.
-
-    Raises ``UsageError``: as its kind of part.
-    """
-    rights = Rights.read(path)
-    if settings is not None:
-        fleet = agent_of(rights, name, is_real=is_real)
-        async with serving_fleet({name: settings}, fleet, tell):
-            yield {"agent": name}
-    elif name in rights.routers:
-        async with routing(rights, name):
-            yield {"router": rights.routers[name].listen}
-    else:
-        settings, who = console_settings(rights), rights.console["identity"]
-        async with (
-            connect(
-                *rights.endpoints, site=rights.site, name=who, **credentials(rights, who)
-            ) as one,
-            serving_fleet_console(one, settings) as served,
-        ):
-            scheme = "http" if settings.tls_cert is None else "https"
-            place = settings.authority(served.sockets.port(CONSOLE))
-            yield {CONSOLE: f"{scheme}://{place}{served.console_path()}"}
-
-
-def tell_log(name: str, event: Event) -> None:
-    """Log what happens to an aircraft."""
-    _logger.log(logging.getLevelNamesMapping()[event.level.upper()], "%s: %s", name, event.text)
-
-
-def credentials(rights: Rights, who: str) -> dict[str, Any]:
-    """What an operator needs for :func:`connect`. Raises ``UsageError``: there is no such key."""
-    return {
-        "sign": signing(read_signer(rights.pki, who)),
-        "authority": Revocations.of_folder(rights.pki),
-        "options": tls_options(rights.pki, rights.identities[who].common_name),
-    }
-
-
-@asynccontextmanager
-async def running_parts(
-    path: Path,
-    parts: Mapping[str, Settings | None],  # by name, in the order of :func:`parts_of`
-    note: Callable[[str, str], None],  # takes a text and a level: what happens to them
-    *,
-    is_real: bool,
-) -> AsyncIterator[dict[str, dict[str, Any]]]:
-    """Run parts of a fleet file, each in a process of its own, which is started again if it ends.
-
-    Routers end last: each aircraft hovers and gives control back before. Raises ``M100Error``: one
-    of them met an error.
-    """
-    rights = Rights.read(path)
-    children = {
-        name: ChildProcess(
-            "part",
-            name,
-            {
-                "file": str(path),
-                "name": name,
-                "settings": None if settings is None else agent_settings(settings),
-                "is_real": is_real,
-            },
-            note,
-        )
-        for name, settings in parts.items()
-    }
-    routers = [one for name, one in children.items() if name in rights.routers]
-    agents = [one for name, one in children.items() if parts[name] is not None]
-    console = [one for name, one in children.items() if name == CONSOLE]
-    async with (
-        supervised(*routers),
-        supervised(*agents, timeout=END_TIMEOUT),
-        supervised(*console) if console else nullcontext(),
-    ):
-        yield {name: child.answer for name, child in children.items()}

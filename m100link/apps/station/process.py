@@ -71,7 +71,7 @@ async def _own(request: dict[str, Any], ended: asyncio.Event) -> None:
 
 
 async def _part(request: dict[str, Any], ended: asyncio.Event) -> None:
-    from m100link.apps.station.fleet import running_part, tell_log
+    from m100link.apps.station.fleet_file import running_part, tell_log
 
     end_with_parent(ended)
     log_of(request["name"])

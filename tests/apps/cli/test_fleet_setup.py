@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import re
+import shlex
 import signal
 import subprocess
 import sys
@@ -12,6 +15,7 @@ from contextlib import ExitStack
 from datetime import UTC, datetime
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -205,6 +209,82 @@ def secured_site(tmp_path: Path, cli: CommandLine) -> Iterator[Secured]:
         made.router = made.begin(file, "base")
         made.begin(tmp_path / "boards/a1/fleet.toml", "a1")
         yield made
+
+
+HOWTO = Path(__file__).parents[3] / "docs/howto/fly-a-fleet.md"
+
+
+@pytest.mark.pty
+@needs_zenoh
+def test_somebody_new_brings_a_fleet_up_by_the_lines_of_the_page(tmp_path: Path) -> None:
+    """Two of the page's ten; then one agent dies, and then all are ended."""
+    page = HOWTO.read_text()
+    text = re.search(r"```toml\n(.*?)```", page, re.DOTALL)
+    blocks = re.findall(r"```sh\n(.*?)```", page, re.DOTALL)
+    assert text is not None
+    small = re.sub(r"\[aircraft\.a([3-9]|10)\]\n", "", text[1]).replace("7447", str(free_port()))
+    small = small.replace('identity = "anna"', f'identity = "anna"\nconsole_port = {free_port()}')
+    (tmp_path / "fleet.toml").write_text(small)
+    lines = "".join(blocks[:2]).splitlines()
+    assert len(lines) < 8
+    environment = os.environ | {"XDG_STATE_HOME": str(tmp_path)}
+    here: dict[str, Any] = {"cwd": tmp_path, "text": True, "stdout": subprocess.PIPE}
+    begun: list[subprocess.Popen[str]] = []
+    try:
+        for line in lines:
+            word, *words = shlex.split(line.removesuffix("&"))
+            if word == "export":
+                environment |= dict(one.split("=") for one in words)
+            elif line.endswith("&"):
+                command = [sys.executable, "-m", word, *words]
+                begun.append(subprocess.Popen(command, env=environment, **here))
+                assert begun[0].stdout is not None
+                told = [begun[0].stdout.readline().split(": ")[0] for _ in range(3)]
+                assert told == ["router", "console", "virtual aircraft"]
+            else:
+                command = [sys.executable, "-m", word, *words]
+                done = subprocess.run(command, env=environment, check=False, **here)
+                assert done.returncode == ExitCode.OK, (line, done.stdout)
+        site = Site(ExitStack(), "fleet.toml", tmp_path)
+        site.environment = environment | {"M100LINK_FLEET": str(tmp_path / "fleet.toml")}
+        in_air = site.listed(2, lambda one: one["phase"] == "in air")
+        assert [card["name"] for card in in_air] == ["a1", "a2"]
+        _, agent, *_ = children_of(begun[0].pid)
+        os.kill(agent, signal.SIGKILL)
+        # It begins anew, with a virtual aircraft that stands; the other one flies on.
+        is_begun_anew = [False, True]
+        until(
+            lambda: (
+                sorted(card.get("phase") == "in air" for card in site.listed(2)) == is_begun_anew
+            )
+        )
+        begun[0].send_signal(signal.SIGINT)
+        assert begun[0].wait(PATIENCE) == ExitCode.OK
+        assert site.ask("list")[0] == ExitCode.NO_LINK
+    finally:
+        for one in begun:
+            one.kill()
+            one.communicate(timeout=PATIENCE)
+
+
+@pytest.mark.pty
+@needs_zenoh
+def test_what_up_started_ends_when_it_is_killed(tmp_path: Path, cli: CommandLine) -> None:
+    file = fleet_file(tmp_path)
+    assert cli("fleet", "make", str(file)).status == ExitCode.OK
+    with ExitStack() as stack:
+        begun = Site(stack, str(file), tmp_path).start("up", str(file), "--json")
+        assert begun.stdout is not None
+        assert json.loads(begun.stdout.readline())["up"] == ["base", "a1", "a2"]
+        children = children_of(begun.pid)
+        assert len(children) >= 3
+        begun.kill()
+        until(lambda: not any(Path(f"/proc/{child}/exe").exists() for child in children))
+
+
+def children_of(parent: int) -> list[int]:
+    """The children of a process, the one that was begun first at first."""
+    return sorted(map(int, Path(f"/proc/{parent}/task/{parent}/children").read_text().split()))
 
 
 @pytest.mark.pty

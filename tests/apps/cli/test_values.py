@@ -30,7 +30,6 @@ from m100link.apps.cli import (
     demo,
     fleet_plans,
     fleet_verbs,
-    fleet_watch,
     flight,
     mission,
     sim,
@@ -649,7 +648,7 @@ def heard_fleet() -> tuple[Any, Any]:
 
 
 def test_a_fleet_is_shown_with_the_age_of_what_was_heard() -> None:
-    table = fleet_watch._table(*heard_fleet())
+    table = fleet_verbs._wall(*heard_fleet())
     found = rows(table)
     assert found["name"] == ["age", "phase", "height", "speed", "battery", "place"]
     assert found["a1"] == [
@@ -664,7 +663,7 @@ def test_a_fleet_is_shown_with_the_age_of_what_was_heard() -> None:
 def test_a_fleet_is_printed_with_what_was_heard() -> None:
     fleet, heard = heard_fleet()
     one, two, gone, never = (
-        fleet_watch._facts(fleet, heard, name) for name in ("a1", "a2", "a3", "a4")
+        fleet_verbs._facts(fleet, heard, name) for name in ("a1", "a2", "a3", "a4")
     )
     assert one["position"]["latitude_rad"] == pytest.approx(math.radians(52.1))
     assert (one["velocity"]["north_m_s"], one["velocity"]["east_m_s"]) == (3.0, -4.0)
@@ -685,7 +684,7 @@ def test_a_fleet_is_printed_with_what_was_heard() -> None:
 def test_a_log_that_is_here_says_how_much_of_it_came(
     capsys: pytest.CaptureFixture[str], came: int, is_written: bool, told: str
 ) -> None:
-    shown = fleet_watch._Shown(is_quiet=False)
+    shown = fleet_verbs._Shown(is_quiet=False)
     shown.listener("a1")(4000, 9000)
     shown.listener("a2")(1000, 9000)
     shown.done(Fetched("a1", "one.mcap", Path("a1-one.mcap"), 9000, came, is_written))

@@ -30,7 +30,7 @@ import m100link
 from m100link.apps.agent.messages import Event, LeaseChanged, RemoteError, State, Steer, Telemetry
 from m100link.apps.agent.orders import Land, Stop, TakeOff
 from m100link.apps.bus.session import LARGEST
-from m100link.apps.cli import fleet_verbs, fleet_watch
+from m100link.apps.cli import fleet_verbs
 from m100link.apps.fleet import client as clients
 from m100link.apps.fleet.agent import FleetAgent
 from m100link.apps.fleet.keys import Keys
@@ -343,7 +343,7 @@ async def test_an_operator_hears_the_values_that_were_sent() -> None:
     await anyio.sleep(0.1)
     outlet.put(pack(Telemetry(known.package("2.3"), "2.3", 7.0)))
     await anyio.sleep(1.5)
-    told = fleet_watch._facts(fleet, hears, "kite")
+    told = fleet_verbs._facts(fleet, hears, "kite")
     assert (told["name"], told["is_there"], told["received"]) == ("kite", True, 1)
     assert told["age"] == pytest.approx(1.5, abs=0.1)
     assert told["velocity"] == {
@@ -360,15 +360,15 @@ async def test_an_operator_hears_the_values_that_were_sent() -> None:
         "gps_health": 4,
     }
     assert (told["battery"], told["flight_status"]) == ({"percent": 63}, {"status": 3})
-    rows = printed(fleet_watch._table(fleet, hears))
+    rows = printed(fleet_verbs._wall(fleet, hears))
     assert rows == [
         ["name", "age", "phase", "height", "speed", "battery", "place"],
         ["kite", "1.5 s", "in air", "12.3 m", "3.6 m/s", "63 %", "-33.123457 151.234568"],
     ]
     outlet.put(pack(Telemetry(known.package("2.3", without=[Position]), "2.3", 8.5)))
     await anyio.sleep(0.1)
-    assert fleet_watch._facts(fleet, hears, "kite")["position"] is None, "it was not sent again"
-    assert printed(fleet_watch._table(fleet, hears))[1][2:] == ["in air", "3.6 m/s", "63 %"]
+    assert fleet_verbs._facts(fleet, hears, "kite")["position"] is None, "it was not sent again"
+    assert printed(fleet_verbs._wall(fleet, hears))[1][2:] == ["in air", "3.6 m/s", "63 %"]
     outlet.put(b"\x01nonsense")
     await anyio.sleep(0.1)
     assert (hears.unread, hears.received["kite"]) == (1, 2)
