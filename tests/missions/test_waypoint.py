@@ -90,6 +90,13 @@ def test_legs_are_divided_evenly(every: float, count: int) -> None:
     assert all(point.actions == (TakePhoto(),) for point in points)
 
 
+def test_a_leg_of_seven_parts_has_seven() -> None:
+    """2.1 by 0.3 is 7.000000000000001 of a computer."""
+    assert 2.1 / 0.3 > 7.0
+    points = Waypoint.along([(0, 0, 9), (2.1, 0, 9)], frame=LocalFrame(52, 4), every=0.3)
+    assert len(points) == 8
+
+
 @pytest.mark.parametrize("every", [0, -1, math.nan, math.inf])
 def test_a_track_cannot_be_divided_into_nothing(every: float) -> None:
     with pytest.raises(UsageError, match="apart"):

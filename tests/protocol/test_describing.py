@@ -38,6 +38,16 @@ def test_an_ack_of_one_direction_answers_what_the_other_asked() -> None:
     assert answer["ack"]["name"] == "OBTAINED"
 
 
+def test_acks_that_come_in_another_order_answer_each_its_own_command() -> None:
+    """Sessions hold several requests: the number of an ack is that of its command (1.4)."""
+    describer = Describer(FIRMWARE_1_0, CIPHER)
+    for data, sequence in ((b"\x01\x00\x01", 8), (b"\x01\x01\x01\x04", 9)):
+        describer.feed(encode_frame(data, session=2, sequence=sequence))
+    acks = [encode_frame(b"\x02\x00", session=2, sequence=at, is_ack=True) for at in (9, 8)]
+    found = [one["command"] for ack in acks for one in describer.feed(ack)]
+    assert found == ["start_task", "request_authority"]
+
+
 def test_an_ack_of_a_code_alone_says_that_the_rest_did_not_come() -> None:
     """A refusal may be one byte where five are due; no radius of 0 m is read into it."""
     asked = encode_frame(b"\x03\x20" + bytes(51), session=2, sequence=9)

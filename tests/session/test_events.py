@@ -33,6 +33,22 @@ def test_before_the_first_answer_nobody_knows() -> None:
     assert "nobody has measured" in str(latency)
 
 
+@pytest.mark.parametrize(
+    ("seconds", "waited"),
+    [
+        ([1.0], 3.0),  # RFC 6298, 2.2: SRTT = R, RTTVAR = R/2; SRTT + 4 RTTVAR
+        ([1.0, 0.2], 3.2),  # 2.3: RTTVAR = 3/4 0.5 + 1/4 0.8 = 0.575; SRTT = 7/8 + 0.2/8 = 0.9
+        ([1.0, 1.8], 3.4),  # as far off the other way: SRTT = 1.1
+        ([1.0, 1.0], 2.5),  # RTTVAR = 0.375
+    ],
+)
+def test_an_answer_is_waited_for_as_the_rfc_says(seconds: list[float], waited: float) -> None:
+    latency = Latency()
+    for one in seconds:
+        latency.note(one)
+    assert latency.wait_s(0.0) == pytest.approx(waited)
+
+
 def test_a_quick_line_is_waited_for_as_long_as_ever() -> None:
     latency = Latency()
     for _ in range(9):
