@@ -48,12 +48,12 @@ async def test_a_cancelled_waiter_waits_on_and_then_lets_the_cancellation_out() 
     work = Work()
     work.shielded.begin()
     waiter = asyncio.create_task(work.shielded.ended())
-    for _ in range(5):
+    for number in range(5):
         await asyncio.sleep(0.1)
-        waiter.cancel()
+        waiter.cancel(f"number {number}")
     await asyncio.sleep(0.1)
     assert not waiter.done()
-    with pytest.raises(asyncio.CancelledError):
+    with pytest.raises(asyncio.CancelledError, match="number 4"):
         await waiter
     assert (work.begun, work.done, work.ended) == (1, 1, 1)
 

@@ -251,6 +251,16 @@ def test_an_undecodable_command_may_be_met_with_silence() -> None:
     assert host.ask(GetVersion()).code == 0, "plain requests are answered all the time"
 
 
+def test_what_is_as_long_as_an_activation_is_none_where_there_is_a_key() -> None:
+    """Activation has 44 bytes: before it, code 7 says that it could not be decrypted."""
+    host = Host()
+    host.activate()
+    data = b"\x00\x01" + bytes(44)
+    sequence = host.send(data, cipher=OTHER_KEY)
+    [ack] = host.acks(2, sequence)
+    assert ack.data == b"\x00\xff"
+
+
 def test_plain_and_encrypted_commands_are_both_accepted_after_activation() -> None:
     host = Host()
     host.activate()

@@ -233,6 +233,23 @@ def test_a_loop_that_never_rests_lets_threads_run() -> None:
         runner.run(main())
 
 
+def test_what_comes_by_a_descriptor_is_read_before_the_next_timer() -> None:
+    async def main() -> None:
+        loop, (ours, its) = asyncio.get_running_loop(), socket.socketpair()
+        with ours, its:
+            for one in (ours, its):
+                one.setblocking(False)
+            for _ in range(3):
+                reading = asyncio.ensure_future(loop.sock_recv(ours, 10))
+                await asyncio.sleep(0.0)
+                its.send(b"x")
+                async with asyncio.timeout(1.0):
+                    await reading
+
+    with asyncio.Runner(loop_factory=VirtualClockEventLoop) as runner:
+        runner.run(main())
+
+
 def test_virtual_timeouts_time_out() -> None:
     async def main() -> float:
         with pytest.raises(TimeoutError):

@@ -24,8 +24,8 @@ GO_HOME, TAKE_OFF, LAND = Task
 NORTH = Setpoint.velocity(north=3, east=0, up=0, yaw_rate_deg_s=0)
 
 
-def away(host: Host, north: float = 60.0, height: float = 10.0) -> Host:
-    host.motion.place(north, 0.0, height)
+def away(host: Host, north: float = 60.0, height: float = 10.0, east: float = 0.0) -> Host:
+    host.motion.place(north, east, height)
     return host
 
 
@@ -222,13 +222,15 @@ def test_landing_from_a_height() -> None:
 
 
 def test_go_home_climbs_flies_to_the_home_point_and_lands() -> None:
-    host = away(Host().flying(), north=150.0, height=5.0)
+    host = away(Host().flying(), north=150.0, height=5.0, east=-40.0)
     host.ask(StartTask(2, GO_HOME))
     highest, maneuvers = 0.0, []
     for _ in range(800):
         host.wait(0.1)
         highest = max(highest, host.motion.height)
         maneuvers.append(host.vehicle.flight.maneuver)
+        if maneuvers[-1] is Maneuver.FLY_HOME:
+            assert host.motion.height > 19.6, "first it climbs"
         if host.motion.north > 120.0:
             assert host.phase() is FlightPhase.IN_AIR
     assert [maneuver for maneuver, _ in itertools.groupby(maneuvers)] == [
