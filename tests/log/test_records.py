@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from m100link.log import read, recorder, recover
-from m100link.log.records import RawMessage, _unpacked, records
+from m100link.log.records import RawMessage, _length_of_part, _unpacked, records
 from tests.log.flight import fly
 
 pytestmark = pytest.mark.anyio
@@ -179,3 +179,13 @@ def test_a_part_without_checksum_is_whole_by_its_size(size: int, is_whole: bool)
     else:
         with pytest.raises(ValueError, match="checksum"):
             _unpacked(body)
+
+
+@pytest.mark.parametrize(
+    ("held", "length"),
+    [(100, 144), ((64 << 20) - 44, 64 << 20), ((64 << 20) - 43, None), (1 << 62, None)],
+)
+def test_a_part_that_says_of_itself_more_than_64_mib_is_none(held: int, length: int | None) -> None:
+    """A chunk (MCAP, op 6): times 16, size 8, CRC 4, name of the compression 4 + 4, size 8."""
+    head = b"\x06" + bytes(8) + bytes(16) + bytes(8) + bytes(4) + b"\x04\0\0\0" + b"zstd"
+    assert _length_of_part(head + held.to_bytes(8, "little")) == length

@@ -8,7 +8,8 @@ import math
 import random
 from bisect import bisect_left
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 from mcap.writer import Writer
@@ -16,7 +17,8 @@ from mcap.writer import Writer
 from m100link import Credentials, Position, Velocity, connect
 from m100link.errors import M100Error
 from m100link.log import read
-from m100link.log.story import FlightPath, HomePoint, read_story
+from m100link.log.channels import COMMAND
+from m100link.log.story import FlightPath, FlightSummary, HomePoint, _CommandReader, read_story
 from m100link.protocol.records import Battery
 from m100link.sim.line import LineFaults
 from m100link.sim.orders import perform
@@ -162,6 +164,39 @@ async def test_each_alarm_is_reported_with_its_cause(
     assert text in found[0].text
     assert begun - 1.0 <= found[0].begin_s <= begun + 5.0
     assert found[0].end_s >= found[0].begin_s
+
+
+async def test_the_farthest_place_is_that_of_the_whole_flight(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not that of its last phase: it is back at home when it lands."""
+    path, flown = tmp_path / "flight.mcap", VirtualAircraft(seed=2, app_id=APP_ID, key=KEY)
+    monkeypatch.setattr(driver, "aircraft_of", lambda _: flown)
+    async with connect("sim://", record=path) as aircraft:
+        await aircraft.activate(Credentials(app_id=APP_ID, key=KEY))
+        async with aircraft.control() as control:
+            await control.take_off()
+            await control.fly_to(north=6.0, east=0.0, up=0.0)
+            await control.fly_to(north=-6.0, east=0.0, up=0.0)
+            await control.land()
+    assert read_story(read(path)).maxima.distance_m == pytest.approx(6.0, abs=0.7)
+
+
+def test_an_ack_of_ours_is_no_answer_of_the_aircraft() -> None:
+    """Both ends number their own requests, from 0 on (document 1.4)."""
+    story = FlightSummary("a log")
+    reader = _CommandReader(story, 0.0, 0.1, None, None)
+    head = {"session": 2, "sequence": 9, "command": "start_task"}
+    for at, is_ack, direction, name in (
+        (1.0, False, "tx", None),
+        (1.1, True, "tx", "ours"),
+        (1.2, True, "rx", "STARTED"),
+    ):
+        content = head | {"is_ack": is_ack, "direction": direction, "ack": {"name": name}}
+        reader.hear(cast(Any, SimpleNamespace(at=at, topic=COMMAND, content=content.copy)))
+    [asked] = story.commands
+    assert asked.outcome == "STARTED"
+    assert asked.after_s == pytest.approx(0.2)
 
 
 @pytest.mark.parametrize("is_off_ground", [True, False])
