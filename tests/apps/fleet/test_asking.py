@@ -38,6 +38,7 @@ from m100link.apps.fleet.payloads import (
     unpack,
 )
 from m100link.errors import (
+    GuardRefused,
     M100Error,
     NotAllowed,
     OutcomeUnknown,
@@ -543,3 +544,13 @@ async def test_a_refusal_that_first_shows_the_time_there_is_asked_again(
     assert reply is not None
     assert reply.outcome is outcome
     assert asked == ([boot, "run"] if is_asked_again else [boot])
+
+
+@pytest.mark.parametrize(("guard", "is_stop"), [("stopped", True), ("envelope", False)])
+async def test_a_refusal_by_stop_alone_is_heard_as_a_stop(guard: str, *, is_stop: bool) -> None:
+    one, told = bare(), list[int]()
+    one.hear_of_stop = lambda: told.append(1)  # type: ignore[method-assign]
+    fault = RemoteError("GuardRefused", "refused", "", "", {"guard": guard})
+    with pytest.raises(GuardRefused):
+        one._raised(OrderReply("", "a1", "run", Progress.DONE, Outcome.REFUSED, fault))
+    assert bool(told) is is_stop

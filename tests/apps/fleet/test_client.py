@@ -396,6 +396,7 @@ async def test_each_aircraft_has_its_own_result() -> None:
         ("wren", Outcome.OK, 3),
     ]
     assert list(await fleet.each(do)) == ["kite"], "those that are present"
+    assert await fleet.each(do, []) == {}, "to nobody is not to all"
 
 
 async def test_who_answers_no_question_to_all_is_asked_alone(

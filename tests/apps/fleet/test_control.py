@@ -272,6 +272,20 @@ async def test_the_end_of_a_hold_is_a_halt_and_no_silence(
         ]
 
 
+async def test_what_is_held_is_the_newest_that_was_set(rig: Rig) -> None:
+    one, pilot = await rig.aircraft("a1"), await rig.pilot()
+    async with pilot["a1"].control() as control:
+        await control.take_off()
+        async with control.hold(NORTH) as hold:
+            await anyio.sleep(1.0)
+            hold.set(Setpoint.velocity(north=0.0, east=-2.0, up=0.0, yaw_rate_deg_s=0.0))
+            await anyio.sleep(3.0)
+            motion = one.aircraft.vehicle.flight.dynamics
+            assert (motion.velocity_north, motion.velocity_east) == pytest.approx(
+                (0.0, -2.0), abs=0.3
+            )
+
+
 async def test_a_stop_ends_a_hold_until_the_pilot_begins_anew(rig: Rig) -> None:
     one = await rig.aircraft("a1")
     pilot, other = await rig.pilot(), await rig.pilot("other")

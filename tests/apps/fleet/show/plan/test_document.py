@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 import xml.etree.ElementTree as ET
@@ -171,6 +172,18 @@ def test_the_example_may_be_flown() -> None:
 def test_one_alone_comes_near_to_nobody() -> None:
     assert check(show_of(HERE)).closest is None
     assert distances(show_of(HERE)) == []
+
+
+@pytest.mark.parametrize("names", [*itertools.permutations(("a1", "a2", "a3"))])
+def test_the_nearest_two_of_three_are_named_in_whatever_order_they_stand(
+    names: tuple[str, ...],
+) -> None:
+    places = {"a1": 0, "a2": 9, "a3": 60}  # metres east
+    tracks = [track(one, (0, 0, places[one], 5), (20, 20, places[one], 5)) for one in names]
+    closest = check(show_of(*tracks)).closest
+    assert closest is not None
+    assert {closest.first, closest.second} == {"a1", "a2"}
+    assert closest.distance_m == pytest.approx(9.0, abs=1e-3)
 
 
 @pytest.mark.parametrize(
