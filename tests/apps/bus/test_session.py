@@ -10,6 +10,7 @@ from contextlib import AsyncExitStack
 from pathlib import Path
 from time import monotonic
 from typing import Any
+from unittest.mock import Mock
 
 import anyio
 import pytest
@@ -171,6 +172,17 @@ async def test_what_cannot_be_opened_is_reported_in_the_words_of_its_user(
                 pass
     assert caught.value.remedy == done
     assert " at /" not in str(caught.value)  # a place in zenoh's source helps nobody
+
+
+async def test_what_zenoh_raises_as_it_opens_is_raised_as_it_is(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Its text is shown, and has to be that of the cause."""
+    zenoh, error = pytest.importorskip("zenoh"), ValueError("no such key")
+    monkeypatch.setattr(zenoh, "open", Mock(side_effect=error))
+    with pytest.raises(ValueError, match="no such key") as caught:
+        await session_module._opened(zenoh.Config())
+    assert caught.value is error
 
 
 @pytest.mark.pty

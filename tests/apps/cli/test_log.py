@@ -18,6 +18,8 @@ from m100link.apps.cli.log import new_file
 from m100link.apps.cli.terminal import ExitCode
 from m100link.errors import LinkError, LinkLost, UsageError
 from m100link.log import read, recorder
+from m100link.log.channels import COMMAND, EVENT
+from m100link.protocol.records import Position
 from m100link.sim.vehicle.activation import DEMO_KEY
 from tests.apps.cli.conftest import ROOT, CommandLine
 from tests.log.test_share import written
@@ -66,6 +68,9 @@ def test_its_telemetry_is_a_table(cli: CommandLine, flight: Path, tmp_path: Path
     rows = list(csv.DictReader(out.splitlines()))
     assert len(rows) > 20
     assert float(rows[0]["position.latitude_deg"]) == pytest.approx(22.5431, abs=1e-6)
+    there = next(one for sample in read(flight).samples() if (one := sample.get(Position)))
+    shown = [float(rows[0][f"position.{one}_deg"]) for one in ("latitude", "longitude")]
+    assert shown == pytest.approx([there.latitude_deg, there.longitude_deg], abs=1e-9)
     table = tmp_path / "table.csv"
     assert cli("log", "csv", str(flight), "position", "-o", str(table)).status == ExitCode.OK
     assert table.read_text(encoding="utf-8") == out
@@ -78,6 +83,8 @@ def test_what_happened_is_a_line_each(cli: CommandLine, flight: Path) -> None:
     told = cli("log", "events", str(flight)).objects
     assert [one["command"] for one in told if "command" in one][:2] == ["get_version"] * 2
     assert told[-1]["event"] == "connection"
+    when = [round(one.at, 6) for one in read(flight).messages(COMMAND, EVENT)]
+    assert [one["at"] for one in told] == when, "microseconds"
 
 
 def test_what_was_cut_off_is_reported_and_mended(cli: CommandLine, flight: Path) -> None:

@@ -100,6 +100,21 @@ def test_tables_are_made_of_the_code(cli: CommandLine, monkeypatch: pytest.Monke
     assert [one for one in left if not re.fullmatch(BUILT, one)] == []
 
 
+@pytest.mark.parametrize(
+    ("kind", "shown"),
+    [
+        ("testsetup", ""),  # what a reader does not need
+        ("toctree", ""),
+        ("testcode", "```python\nbody\n```"),
+        ("doctest", "```python\nbody\n```"),
+        ("warning", "> **Warning.** body"),
+        ("note", "> **Note.** body"),
+    ],
+)
+def test_each_kind_of_block_is_shown_as_markdown_has_it(kind: str, shown: str) -> None:
+    assert _plain(f"```{{{kind}}}\nbody\n```\n", NOWHERE).strip() == shown
+
+
 def test_names_of_the_reference_come_with_what_they_are() -> None:
     text = _plain("```{eval-rst}\n.. autofunction:: m100link.connect\n   :members:\n```\n", NOWHERE)
     assert "- `m100link.connect`: Connect to an aircraft" in text

@@ -284,6 +284,18 @@ def test_40_columns_are_enough(arguments: tuple[str, ...], parts: tuple[str, ...
     assert "\u2026" not in shown.replace("\u2026  ", "")  # nothing is cut off
 
 
+@pytest.mark.parametrize(("typed", "line"), [(b" land now \n", "land now"), (b"", "")])
+def test_what_is_typed_is_read_whole(
+    monkeypatch: pytest.MonkeyPatch, typed: bytes, line: str
+) -> None:
+    reading, writing = os.pipe()
+    os.write(writing, typed)
+    os.close(writing)
+    with os.fdopen(reading) as stdin:
+        monkeypatch.setattr(sys, "stdin", stdin)
+        assert asyncio.run(read_line()) == line
+
+
 def test_ctrl_c_that_interrupts_no_wait_ends_a_question_all_the_same(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -67,6 +67,9 @@ def test_flags_before_environment_before_toml_before_launch(tmp_path: Path, laun
     settings = resolve({"app_id": 1, "port": None}, environment, config=config, launch=launch)
     assert settings.app_id == 1
     assert settings.level == 0
+    credentials = settings.credentials()
+    assert credentials is not None
+    assert (credentials.app_id, credentials.level) == (1, 0)
     assert settings.url == "tcp://a:1"
     assert settings.port == 1234
     assert settings.baud_rate == 115200

@@ -460,6 +460,17 @@ def test_a_mission_of_somebody_who_is_gone_is_shown_and_ends_when_it_is_armed() 
     assert "is stopped" in told[-1][1]
 
 
+@pytest.mark.parametrize(("mission", "halts"), [("waypoint mission", 1), ("", 0)])
+def test_setpoints_wait_until_the_mission_of_somebody_who_is_gone_was_stopped(
+    mission: str, halts: int
+) -> None:
+    manager, world, _ = manager_in(VehiclePhase.AIRBORNE)
+    known: Any = world.known
+    known.state, known.is_connected = State(at=0.0, mission=mission), True
+    manager.request_mode(ModeRequest(Mode.OFFBOARD, None, PEER), 0.0)
+    assert [type(order) for order in manager.orders] == [HoldPosition] * halts
+
+
 @pytest.mark.parametrize(
     ("phase", "mission"),
     [(VehiclePhase.AIRBORNE, ""), (VehiclePhase.ARMED, "waypoint mission")],

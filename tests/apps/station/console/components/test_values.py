@@ -1058,8 +1058,9 @@ async def test_a_fleet_has_a_row_for_each_and_each_can_be_stopped(here: Here) ->
     part = here.make(header.FleetPart)
     part.update(SimpleNamespace(fleet=()))
     visible = [part._place.visible]
-    part.update(SimpleNamespace(fleet=(ship(), ship(name="m100", is_shown=True))))
+    part.update(SimpleNamespace(fleet=(ship(),)))
     assert [*visible, part._place.visible] == [False, True]
+    part.update(SimpleNamespace(fleet=(ship(), ship(name="m100", is_shown=True))))
     turn = here.find(data_ship="left")
     currents = [here.find(data_ship=name).props["aria-current"] for name in ("left", "m100")]
     assert currents == ["false", "page"]
