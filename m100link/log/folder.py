@@ -204,14 +204,14 @@ class LogDirectory:
     def __init__(self, folder: Path | None) -> None:
         self._folder = None if folder is None else read_path(folder)
 
-    def entries(self) -> list[LogEntry]:
-        """All of them, the newest first."""
+    def entries(self, most: int | None = None) -> list[LogEntry]:
+        """All of them, the newest first; ``most``: so many at most, the newest by their names."""
         found = []
         try:
             names = [] if self._folder is None else [one.name for one in self._folder.iterdir()]
         except OSError:
             return []  # nothing was recorded yet: the first log makes the folder
-        for name in filter(is_log_name, names):
+        for name in sorted(filter(is_log_name, names), reverse=True)[:most]:
             try:
                 with self._opened(name) as stream:
                     status = os.fstat(stream.fileno())

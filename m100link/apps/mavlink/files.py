@@ -1,13 +1,14 @@
 """Flight logs, and files that the bridge makes, for peers to fetch: LOG_* and MAVLink FTP.
 
-All of it is read-only, and no path leads out of the folder of logs. The disk is read in threads, a
-block at a time, and each peer has one question under way: a flood, or a disk that hangs, costs its
-sender an answer and nobody else anything.
+All of it is read-only, and no path leads out of the folder of logs. The disk is read in one thread,
+a block at a time, each peer has one question of a kind under way, and all streams share one pace: a
+flood, or a disk that hangs, costs those that fetch files an answer, and nobody who flies anything.
 """
 
 from __future__ import annotations
 
 import asyncio
+from collections import Counter
 from collections.abc import Callable, Coroutine, Iterable
 from dataclasses import dataclass
 from enum import IntEnum
@@ -20,7 +21,7 @@ from m100link.errors import UsageError
 from m100link.log.folder import LogDirectory, LogEntry
 
 _LOG_DATA = 90  # bytes of LOG_DATA
-_AT_ONCE, _PAUSE_S = 48, 0.02  # messages of LOG_DATA, and the pause behind them: 216 kB/s
+_AT_ONCE, _PAUSE_S = 48, 0.02  # messages of logs to all peers, and the pause behind: 216 kB/s
 _BLOCK = 15 * _AT_ONCE * _LOG_DATA  # bytes that are read at once
 _MOST_LOGS = 1000  # that a list names, the newest
 _LOOKED_S = 1.0  # seconds for which the folder counts as it was seen
@@ -97,6 +98,9 @@ class FileService:
     ) -> None:
         self._directory = LogDirectory(folder)
         self._seen: tuple[float, list[LogEntry]] | None = None  # when, s; the oldest first
+        self._folders: dict[str, list[bytes]] = {}  # their entries, as they were then
+        # Held by the one that reads the disk, and by the one that streams; others wait in a row.
+        self._disk, self._pace = asyncio.Lock(), asyncio.Lock()
         self._send, self._agent = send, agent
         # Called with each answer: its peer asks the next question when it has that one.
         self.on_answer: Callable[[], None] = lambda: None
@@ -132,15 +136,31 @@ class FileService:
 
     async def _entries(self) -> list[LogEntry]:
         """The logs, the oldest first."""
-        now = asyncio.get_running_loop().time()
-        if self._seen is None or now - self._seen[0] >= _LOOKED_S:
-            found = await asyncio.to_thread(self._directory.entries)
-            self._seen = now, found[:_MOST_LOGS][::-1]
-        return self._seen[1]
+        async with self._disk:
+            now = asyncio.get_running_loop().time()
+            if self._seen is None or now - self._seen[0] >= _LOOKED_S:
+                found = await asyncio.to_thread(self._directory.entries, _MOST_LOGS)
+                self._seen = now, found[::-1]
+                self._folders = self._listing(self._seen[1])
+            return self._seen[1]
+
+    def _listing(self, entries: list[LogEntry]) -> dict[str, list[bytes]]:
+        """What ListDirectory says of each folder."""
+        sizes = {path: len(data) for path, data in self.made.items()}
+        sizes |= {f"{_FOLDER}/{entry.log}": entry.size for entry in entries}
+        folders: dict[str, list[bytes]] = {"": [], _FOLDER: []}
+        for path, size in sizes.items():
+            above, _, name = path.rpartition("/")
+            folders.setdefault(above, []).append(f"F{name}\t{size}\0".encode())
+        for folder in sorted(folders.keys() - {""}, reverse=True):
+            above, _, name = folder.rpartition("/")
+            folders.setdefault(above, []).insert(0, f"D{name}\0".encode())
+        return folders
 
     async def _piece(self, log: str, at: int, size: int) -> tuple[bytes, int]:
         """Bytes of a log, and its size now. Raises UsageError: it is not there."""
-        data, entry = await asyncio.to_thread(self._directory.piece, log, at, size)
+        async with self._disk:
+            data, entry = await asyncio.to_thread(self._directory.piece, log, at, size)
         return data, entry.size
 
     # -- LOG_REQUEST_LIST and the others -----------------------------------------------------------
@@ -157,24 +177,35 @@ class FileService:
 
     async def _list(self, start: int, end: int, peer: Peer) -> None:
         entries = await self._listed(peer, anew=start == 0)
-        for number, entry in enumerate(entries):
-            if start <= number <= end:
-                fields = {
-                    "id": number,
-                    "num_logs": len(entries),
-                    "last_log_num": len(entries) - 1,
-                    "time_utc": max(0, min(_U32, int(entry.at))),
-                    "size": min(_U32, entry.size),
-                }
-                self._stream("LOG_ENTRY", fields, peer)
-            if (number + 1) % _AT_ONCE == 0:
-                await asyncio.sleep(_PAUSE_S)
-        if not entries:  # without an answer programs wait for ever
-            self._stream("LOG_ENTRY", {}, peer)
+        found = [
+            {
+                "id": number,
+                "num_logs": len(entries),
+                "last_log_num": len(entries) - 1,
+                "time_utc": max(0, min(_U32, int(entry.at))),
+                "size": min(_U32, entry.size),
+            }
+            for number, entry in enumerate(entries[start : end + 1], start)
+        ]
+        # Without an answer programs wait for ever.
+        await self._stream("LOG_ENTRY", found if entries else [{}], peer)
 
-    def _stream(self, name: str, fields: dict[str, Any], peer: Peer) -> None:
-        """Send a message that has its own pace: it costs its peer no share of the reading."""
-        self._send(MavlinkMessage(name, fields), (peer.address,))
+    async def _stream(
+        self, name: str, messages: list[dict[str, Any]], peer: Peer, wanted: _Transfer | None = None
+    ) -> bool:
+        """Send messages at the one pace of all peers; False when their part is wanted no more.
+
+        They cost their peer no share of the reading.
+        """
+        for first in range(0, len(messages), _AT_ONCE):
+            some = messages[first : first + _AT_ONCE]
+            async with self._pace:
+                if wanted is not None and self.transfers.get(peer) is not wanted:
+                    return False
+                for fields in some:
+                    self._send(MavlinkMessage(name, fields), (peer.address,))
+                await asyncio.sleep(_PAUSE_S * len(some) / _AT_ONCE)
+        return True
 
     def _data_wanted(self, message: MavlinkMessage, peer: Peer, now: float) -> None:
         begin, number = message["ofs"], message["id"]
@@ -207,17 +238,13 @@ class FileService:
 
     async def _sent(self, data: bytes, wanted: _Transfer, peer: Peer) -> bool:
         """Send a block of it; True if it was the last one."""
-        if not data:
-            self._stream("LOG_DATA", {"id": wanted.number, "ofs": wanted.at}, peer)
-            return True
-        for count, begin in enumerate(range(0, len(data), _LOG_DATA), 1):
-            if self.transfers.get(peer) is not wanted:
-                return False
-            part = data[begin : begin + _LOG_DATA]
-            fields = {"id": wanted.number, "ofs": wanted.at + begin, "count": len(part)}
-            self._stream("LOG_DATA", fields | {"data": part}, peer)
-            if count % _AT_ONCE == 0:
-                await asyncio.sleep(_PAUSE_S)
+        parts = {at: data[at : at + _LOG_DATA] for at in range(0, len(data) or 1, _LOG_DATA)}
+        messages = [
+            {"id": wanted.number, "ofs": wanted.at + at, "count": len(part), "data": part}
+            for at, part in parts.items()
+        ]
+        if not await self._stream("LOG_DATA", messages, peer, wanted):
+            return False
         wanted.at += len(data)
         return wanted.at >= wanted.end or len(data) < _BLOCK
 
@@ -300,10 +327,16 @@ class FileService:
         theirs = [key for key, one in sessions.items() if one.peer == peer]
         if len(sessions) >= _MOST_SESSIONS or len(theirs) >= _SESSIONS_OF_PEER:
             among = theirs if len(theirs) >= _SESSIONS_OF_PEER else [*sessions]
-            oldest = min(among, key=lambda key: sessions[key].used_at)
-            if now - sessions[oldest].used_at < _IDLE_S:
+            held = Counter(one.peer for one in sessions.values())
+            free = [
+                key
+                for key in among
+                if now - sessions[key].used_at >= _IDLE_S
+                or held[sessions[key].peer] > len(theirs) + 1  # a greedy one's, for one with fewer
+            ]
+            if not free:
                 raise _Refused(_Error.NO_SESSIONS_AVAILABLE)
-            del sessions[oldest]
+            del sessions[min(free, key=lambda key: sessions[key].used_at)]
         number = next(key for key in range(_MOST_SESSIONS) if key not in sessions)
         sessions[number] = _Session(peer, name, now)
         return number
@@ -322,22 +355,14 @@ class FileService:
 
     async def _names(self, name: str, first: int) -> bytes:
         """Entries of a folder from one on, as many as fit. Raises _Refused: there are none."""
-        sizes = {path: len(data) for path, data in self.made.items()}
-        for entry in await self._entries():
-            sizes[f"{_FOLDER}/{entry.log}"] = entry.size
-        before = f"{name}/" if name else ""
-        inside = [path.removeprefix(before) for path in sizes if path.startswith(before)]
-        folders = sorted({path.partition("/")[0] for path in inside if "/" in path})
-        found = [f"D{one}" for one in folders]
-        found += [f"F{one}\t{sizes[before + one]}" for one in inside if "/" not in one]
-        if not found and name not in ("", _FOLDER):
+        await self._entries()
+        if name not in self._folders:
             raise _Refused(_Error.FILE_NOT_FOUND)
         data = b""
-        for one in found[first:]:
-            entry_data = one.encode() + b"\0"
-            if len(data) + len(entry_data) > _MOST_DATA:
+        for entry in self._folders[name][first : first + _MOST_DATA]:
+            if len(data) + len(entry) > _MOST_DATA:
                 break
-            data += entry_data
+            data += entry
         if not data:
             raise _Refused(_Error.END_OF_FILE)
         return data

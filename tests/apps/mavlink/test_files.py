@@ -16,6 +16,7 @@ import pytest
 
 from m100link.apps.mavlink.files import FileService
 from m100link.apps.mavlink.translator.codec import MavlinkMessage, Peer
+from m100link.log.folder import LogDirectory, LogEntry
 from tests.apps.mavlink.conftest import Ground, Rig
 
 pytestmark = pytest.mark.anyio
@@ -144,6 +145,23 @@ async def test_a_log_takes_no_more_of_the_network_than_its_pace(rig: Rig, ground
     # and it answers and flies meanwhile
     ground.send("PING", seq=7)
     assert ground.last("PING")["seq"] == 7
+
+
+async def test_a_log_that_grows_is_sent_to_where_it_ends_then(rig: Rig, folder: Path) -> None:
+    ground = rig.ground
+    to = {"target_system": 1, "target_component": 1}
+    ground.send("LOG_REQUEST_DATA", **to, id=1, count=0xFFFFFFFF)
+    await wait(rig, ground, "LOG_DATA", 10)
+    with (folder / NEW).open("ab") as log:
+        log.write(b"more")
+    await rig.until(lambda: ground.last("LOG_DATA")["count"] < 90)
+    found = {one["ofs"]: bytes(one["data"])[: one["count"]] for one in ground.all("LOG_DATA")}
+    assert b"".join(found[at] for at in sorted(found)) == content(NEW) + b"more"
+    for at in (130_007, 0xFFFFFFFF):  # behind its end
+        ground.heard.clear()
+        ground.send("LOG_REQUEST_DATA", **to, id=1, ofs=at, count=90)
+        (one,) = await wait(rig, ground, "LOG_DATA", 1)
+        assert (one["ofs"], one["count"]) == (at, 0)
 
 
 async def test_a_log_is_sent_no_further_to_a_peer_that_has_gone(folder: Path) -> None:
@@ -333,7 +351,64 @@ async def test_sessions_that_nobody_uses_make_room(rig: Rig, ftp: Client) -> Non
         client = Client(rig, ground)
         for _ in range(4):
             assert (await client.ask(OPEN, f"/log/{OLD}".encode()))[0] == ACK
-    assert (await ftp.ask(OPEN, f"/log/{OLD}".encode())) == (NAK, bytes([NO_SESSIONS]), 0)
+    # Of sixteen in use, a peer with fewer gets those of the greedy: nobody keeps it out.
+    opened = [(await ftp.ask(OPEN, f"/log/{OLD}".encode())) for _ in range(4)]
+    assert [one[0] for one in opened] == [ACK] * 3 + [NAK]
+    assert opened[3][1] == bytes([NO_SESSIONS])
+
+
+# -- sixteen peers at once -------------------------------------------------------------------------
+
+
+def peers(rig: Rig) -> list[Ground]:
+    """The most that there may be, one of them the rig's own."""
+    others = [Ground(rig, ("127.0.0.1", 20 + number), 20 + number) for number in range(15)]
+    for one in others:
+        one.beat()
+    return [rig.ground, *others]
+
+
+async def test_logs_leave_at_one_pace_whoever_fetches_them(folder: Path) -> None:
+    """Sixteen peers with a pace each took a third of a processor from the loop that flies."""
+    (folder / NEW).write_bytes(bytes(4_000_000))
+    async with Rig(logs=folder).running() as rig:
+        everybody = peers(rig)
+        to = {"target_system": 1, "target_component": 1}
+        for one in everybody:
+            one.send("LOG_REQUEST_DATA", **to, id=1, count=4_000_000)
+            one.send("LOG_REQUEST_LIST", **to, end=0xFFFF)
+        await anyio.sleep(2.0)
+        got = [len(one.all("LOG_DATA")) for one in everybody]
+        assert sum(got) * 90 <= 2.1 * 216_000
+        assert min(got) > 0.5 * max(got)
+
+
+@pytest.mark.slow
+async def test_a_folder_of_ten_thousand_logs_is_seen_to_its_newest_thousand(tmp_path: Path) -> None:
+    """A question costs the loop that flies the entries of its answer, and no look at them all."""
+    for number in range(10_000):
+        (tmp_path / f"m100link-20260101-{number:06d}.mcap").touch()
+    looks = 0
+    entries = LogDirectory.entries
+
+    class Counted(LogDirectory):
+        def entries(self, most: int | None = None) -> list[LogEntry]:
+            nonlocal looks
+            looks += 1
+            return entries(self, most)
+
+    async with Rig(logs=tmp_path).running() as rig:
+        rig.vehicle.files._directory = Counted(tmp_path)
+        clients = [Client(rig, one) for one in peers(rig)]
+        _, first, _ = await clients[0].ask(LIST, b"/log")
+        _, last, _ = await clients[0].ask(LIST, b"/log", at=999)
+        assert first.startswith(b"Fm100link-20260101-009000.mcap\t0\0")
+        assert last == b"Fm100link-20260101-009999.mcap\t0\0"
+        for number in range(100):
+            for one in clients:
+                one.send(LIST, b"/log", at=number)
+            await anyio.sleep(0.02)
+        assert looks <= 4  # a second each
 
 
 # -- a disk that hangs -----------------------------------------------------------------------------
