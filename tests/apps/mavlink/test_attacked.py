@@ -156,7 +156,7 @@ class Watch:
 
     async def run(self) -> None:
         while True:
-            legs = [*pairwise(self.way)] or [(*self.way, *self.way)]
+            legs = [*pairwise(self.way)] or [(self.way[0], self.way[0])]
             away = min(distance(self.place, *leg) for leg in legs)
             self.farthest = max(self.farthest, away)
             await anyio.sleep(0.02)
