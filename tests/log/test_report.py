@@ -86,6 +86,13 @@ async def test_each_note_is_a_sentence(tmp_path: Path) -> None:
     assert [one.at_s for one in said] == sorted(one.at_s for one in said)
 
 
+async def test_a_sentence_is_of_the_kind_that_it_is_about(tmp_path: Path) -> None:
+    note = ("state", {"limits": {"max_height_m": 30.0}})
+    kinds = {one.text: one.kind for one in await told(tmp_path / "a.mcap", [note])}
+    assert kinds["In force: at most 30 m high."] == "limits"
+    assert kinds["The connection ended: the link was closed by this side."] == "line"
+
+
 async def test_notes_that_nobody_can_read_cost_themselves_alone(tmp_path: Path) -> None:
     said = await told(tmp_path / "a.mcap", [*STRANGE, ("text", {"client": "x", "text": "whole"})])
     assert "whole." in [one.text for one in said]

@@ -16,7 +16,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from m100link.apps.agent import orders
+from m100link.apps.agent import codec, orders
 from m100link.apps.agent.codec import (
     MAX_BYTES,
     MAX_SIZE,
@@ -412,3 +412,15 @@ def test_other_messages_are_another_version() -> None:
     raised = "raise VERSION of m100link/apps/agent/messages.py, and KNOWN_VERSION and KNOWN here"
     assert not changed, f"messages have changed: {raised}: {changed}"
     assert VERSION == KNOWN_VERSION, f"messages have changed: {raised}"
+
+
+def test_a_message_may_be_as_long_as_the_longest_and_no_byte_longer(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    message = Ask(1, orders.UploadPlan(b"{}", (b"point",)))
+    size = len(encode(message))
+    monkeypatch.setattr(codec, "MAX_SIZE", size)
+    assert len(encode(message)) == size
+    monkeypatch.setattr(codec, "MAX_SIZE", size - 1)
+    with pytest.raises(MessageError, match=f"would have {size} bytes, at most {size - 1} go"):
+        encode(message)

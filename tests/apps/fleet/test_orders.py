@@ -8,6 +8,7 @@ from dataclasses import replace
 from random import Random
 from types import SimpleNamespace
 from typing import Any, cast
+from unittest.mock import AsyncMock, MagicMock
 
 import anyio
 import pytest
@@ -493,3 +494,15 @@ async def test_what_stands_and_nobody_flies_is_not_landed(
     service._descended = descended  # type: ignore[method-assign] # for this test
     await service.descend(orders.GoHome(), "anna", take_over=False, signer="anna")
     assert flown == [(orders.GoHome(), "anna", False)] * is_flown
+
+
+@pytest.mark.parametrize("order", [orders.PauseMission(), orders.ResumeMission()])
+async def test_a_card_says_paused_of_a_pause_alone(order: orders.Order) -> None:
+    answer, client = SimpleNamespace(text="", number=None), MagicMock()
+    client.ask = AsyncMock(return_value=answer)
+    service = OrderService(client, MemoryOrderLog())
+    service.missions.paused = MagicMock()  # type: ignore[method-assign]
+    assert await service._do(order, None, 3.0) == {"text": "", "number": None}
+    client.ask.assert_awaited_once_with(order, None, asked_at=3.0)
+    is_paused = isinstance(order, orders.PauseMission)
+    service.missions.paused.assert_called_once_with(is_paused=is_paused)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import asyncio
 import math
 import struct
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -24,7 +25,8 @@ from m100link import (
     Target,
     UsageError,
 )
-from m100link.flight.missions.hotpoint import largest_rate
+from m100link.flight.missions.hotpoint import HotpointFlight, largest_rate
+from m100link.protocol.commands.hotpoint import HotpointSetRate
 from tests.flight.foreign_aircraft import STANDBY
 from tests.flight.missions.foreign import assert_rests, foreign, orders, spot
 from tests.rig import NORTH
@@ -101,6 +103,27 @@ async def test_what_nobody_shows_is_not_said_to_be_so() -> None:
                 await circle.set_radius(40.0, timeout=5.0)
             await circle.set_radius(40.0, wait=False)
             assert 3 < len(orders(there, 0x24)) < 10
+
+
+@pytest.mark.parametrize(
+    ("rate", "clockwise", "is_confirmed"),
+    [(8.0, 0, True), (8.0, 1, False), (-8.0, 0, False), (8.1, 0, False)],
+)
+async def test_a_stored_circle_confirms_a_rate_with_its_direction(
+    rate: float, clockwise: int, *, is_confirmed: bool
+) -> None:
+    sent: list[Any] = []
+
+    async def send(
+        request: object, _: object, confirms: Callable[[Any], bool], *__: object
+    ) -> None:
+        sent.extend((request, confirms(SimpleNamespace(angular_rate=rate, clockwise=clockwise))))
+
+    one: Any = SimpleNamespace(_is_clockwise=True, _radius=20.0, _track=None, _send=send)
+    one._check, one._turns = (lambda *_: None), lambda: iter(())
+    await HotpointFlight.set_rate(one, 8.0, clockwise=False)
+    assert sent == [HotpointSetRate(0, 8.0), is_confirmed]
+    assert not one._is_clockwise
 
 
 @pytest.mark.parametrize(

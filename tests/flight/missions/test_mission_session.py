@@ -8,7 +8,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
@@ -476,3 +476,17 @@ async def test_on_its_way_home_it_is_not_asked_about_a_mission_that_is_over(
     )
     await MissionSession.ask(one)
     assert asked == ["how far?"] * is_asked
+
+
+@pytest.mark.parametrize("is_replaced", [True, False])
+def test_what_ends_lets_go_of_the_pushes_that_nobody_newer_hears(*, is_replaced: bool) -> None:
+    def on_push(_: object) -> None: ...
+
+    def newer(_: object) -> None: ...
+
+    missions = SimpleNamespace(listener=newer if is_replaced else on_push)
+    context = SimpleNamespace(commander=SimpleNamespace(missions=missions))
+    MissionSession._let_go(
+        cast(Any, SimpleNamespace(_context=context, _on_push=on_push, _watching=None))
+    )
+    assert missions.listener is (newer if is_replaced else None)

@@ -404,7 +404,7 @@ def _text(message: dict[str, Any], name: str) -> str:
 def _number(message: dict[str, Any], name: str, low: int, high: int) -> int:
     value = message.get(name)
     if value is None:
-        return max(low, 0)
+        return 0
     if not isinstance(value, int | float) or isinstance(value, bool) or not low <= value <= high:
         raise _Fault(f"{name} is a number from {low} to {high}")
     return int(value)
