@@ -52,6 +52,8 @@ Vector = tuple[float, float, float]
 
 _GRAVITY_M_S2 = 9.80665
 _NO_FIX, _FIX, _GPS = -1, 0, 1
+_NOT_KNOWN, _APPROXIMATED = 0, 1  # covariance types of NavSatFix
+_TESLA = 32e-9  # for each raw unit: DJI calls 1000 to 2000 normal, and the Earth has 25 to 65 µT
 _STICK = 10_000.0
 _ZERO = (0.0, 0.0, 0.0)
 _LEVEL = (0.0, 0.0, 0.0, 1.0)
@@ -78,6 +80,30 @@ _BATTERY: dict[str, Any] = {
 }
 
 
+class Deviations(NamedTuple):
+    """Standard deviations for the covariances, because the wire has none. 0: unknown.
+
+    They are what PX4 and ArduPilot take for aircraft of this kind, so that a filter does not
+    believe a value for certain. Nobody has measured them on an M100.
+    """
+
+    position_m: float = 2.5  # horizontal; GPS alone, and what telemetry checks allow
+    height_m: float = 2.0  # of a barometer: EK3_ALT_M_NSE
+    velocity_m_s: float = 0.3  # EKF2_GPS_V_NOISE
+    tilt_rad: float = 0.1  # of roll and pitch: EKF2_ANGERR_INIT
+    heading_rad: float = 0.3  # EKF2_HEAD_NOISE
+    rates_rad_s: float = 0.015  # EKF2_GYR_NOISE
+    acceleration_m_s2: float = 0.35  # EKF2_ACC_NOISE
+
+
+def _diagonal(*deviations: float) -> list[float]:
+    """A covariance matrix without correlations, by rows."""
+    size = len(deviations)
+    made = [0.0] * size**2
+    made[:: size + 1] = [one**2 for one in deviations]
+    return made
+
+
 def _header(frame: str) -> Mapping[str, Any]:
     return {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": frame}
 
@@ -96,30 +122,46 @@ class Messages:
         self.ground, self.body = ground, body
         made = self._stamped
         twist, vector = ("twist.linear", "twist.angular"), "geometry_msgs/Vector3Stamped"
-        place = ("status.status", "latitude", "longitude", "altitude")
-        self._fix = made("sensor_msgs/NavSatFix", body, *place, **_FIX_MESSAGE)
         self._velocity = made("geometry_msgs/TwistStamped", ground, *twist, twist=_TWIST)
         self._acceleration = made(vector, ground, "vector", vector=_VECTOR)
-        self._odometry = made(
-            *("nav_msgs/Odometry", ground),
-            *("pose.pose.position", "pose.pose.orientation", "twist.twist"),
-            child_frame_id=body,
-            pose={"pose": _POSE, "covariance": [0.0] * 36},
-            twist={"twist": _TWIST, "covariance": [0.0] * 36},
-        )
         pose = ("pose.position", "pose.orientation")
         self._pose = made("geometry_msgs/PoseStamped", ground, *pose, pose=_POSE)
         named = {"header": _header(ground), "child_frame_id": body, "transform": _TRANSFORM}
         parts = ("header.stamp", "transform.translation", "transform.rotation")
         changing = (f"transforms.0.{part}" for part in parts)
         self._transform = Template("tf2_msgs/TFMessage", {"transforms": [named]}, *changing)
-        self._magnetometer = made(vector, body, "vector", vector=_VECTOR)
+        magnetic = {"magnetic_field": _VECTOR, "magnetic_field_covariance": _UNKNOWN}
+        self._magnetometer = made("sensor_msgs/MagneticField", body, "magnetic_field", **magnetic)
         turned = {"quaternion": _ROTATION}
         self._gimbal = made("geometry_msgs/QuaternionStamped", ground, "quaternion", **turned)
         self._battery = made("sensor_msgs/BatteryState", body, "percentage", **_BATTERY)
         self._imus: dict[tuple[bool, ...], Template] = {}
         self._attitude: Attitude | None = None
         self._rotation = _LEVEL
+        self.deviate(Deviations())
+
+    def deviate(self, of: Deviations) -> None:
+        """Have these standard deviations in the covariances from now on."""
+        turned = of.tilt_rad, of.tilt_rad, of.heading_rad
+        where = of.position_m, of.position_m, of.height_m
+        moves, rates = (of.velocity_m_s,) * 3, (of.rates_rad_s,) * 3
+        self._covariances = {
+            "orientation": _diagonal(*turned),
+            "angular_velocity": _diagonal(*rates),
+            "linear_acceleration": _diagonal(*(of.acceleration_m_s2,) * 3),
+        }
+        self._imus.clear()
+        self._is_known = of.position_m > 0.0
+        place = ("status.status", "latitude", "longitude", "altitude", "position_covariance_type")
+        about = _FIX_MESSAGE | {"position_covariance": _diagonal(*where)}
+        self._fix = self._stamped("sensor_msgs/NavSatFix", self.body, *place, **about)
+        self._odometry = self._stamped(
+            *("nav_msgs/Odometry", self.ground),
+            *("pose.pose.position", "pose.pose.orientation", "twist.twist"),
+            child_frame_id=self.body,
+            pose={"pose": _POSE, "covariance": _diagonal(*where, *turned)},
+            twist={"twist": _TWIST, "covariance": _diagonal(*moves, *rates)},
+        )
 
     def _stamped(self, name: str, frame: str, /, *changing: str, **message: Any) -> Template:
         """A message with a header, whose time changes as well."""
@@ -137,7 +179,9 @@ class Messages:
     def fix(self, stamp: Stamp, position: Position) -> bytes:
         """sensor_msgs/NavSatFix; the altitude is the aircraft's, by its barometer."""
         place = (position.latitude_deg,), (position.longitude_deg,), (position.altitude_m,)
-        return self._fix.fill(stamp, (_FIX if has_fix(position) else _NO_FIX,), *place)
+        is_there = has_fix(position)
+        kind = _APPROXIMATED if is_there and self._is_known else _NOT_KNOWN
+        return self._fix.fill(stamp, (_FIX if is_there else _NO_FIX,), *place, (kind,))
 
     def velocity(self, stamp: Stamp, velocity: Velocity) -> bytes:
         """geometry_msgs/TwistStamped over ground; it does not turn there."""
@@ -176,7 +220,7 @@ class Messages:
         if template is None:
             names = ("orientation", "angular_velocity", "linear_acceleration")
             covariances = {
-                f"{name}_covariance": _UNKNOWN if one else _NOT_THERE
+                f"{name}_covariance": self._covariances[name] if one else _NOT_THERE
                 for name, one in zip(names, known, strict=True)
             }
             empty = dict(zip(names, (_ROTATION, _VECTOR, _VECTOR), strict=True))
@@ -203,8 +247,12 @@ class Messages:
         )
 
     def magnetometer(self, stamp: Stamp, found: Magnetometer) -> bytes:
-        """geometry_msgs/Vector3Stamped: raw numbers without a unit, forward, left, up."""
-        return self._magnetometer.fill(stamp, (found.x, -found.y, -found.z))
+        """sensor_msgs/MagneticField, forward, left, up: its direction counts, its size is nominal.
+
+        The raw numbers have no unit.
+        """
+        forward, right, down = (_TESLA * one for one in found)
+        return self._magnetometer.fill(stamp, (forward, -right, -down))
 
     def gimbal(self, stamp: Stamp, gimbal: Gimbal) -> bytes:
         """geometry_msgs/QuaternionStamped: how the camera is turned over ground."""

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from m100link.log.ros2 import Messages
+from m100link.log.ros2 import Deviations, Messages
 from m100link.protocol.records import (
     Acceleration,
     AngularVelocity,
@@ -80,15 +80,51 @@ def test_what_is_not_known_is_said_to_be_unknown(missing: str) -> None:
     for name in known:
         # Without an attitude nobody can tell what the body feels.
         is_there = missing != "orientation" or name != "linear_acceleration"
-        assert getattr(found, f"{name}_covariance")[0] == (0.0 if is_there else -1.0)
+        # PX4's defaults, squared: EKF2_ANGERR_INIT, EKF2_GYR_NOISE, EKF2_ACC_NOISE.
+        deviation = {"orientation": 0.1, "angular_velocity": 0.015, "linear_acceleration": 0.35}
+        variance = getattr(found, f"{name}_covariance")[0]
+        assert variance == pytest.approx(deviation[name] ** 2 if is_there else -1.0)
 
 
 def test_the_magnetic_field_is_forward_left_up() -> None:
     """DJI's axes are forward, right, down; those of a body are turned about the first (REP 103)."""
     made = MADE.magnetometer(STAMP, Magnetometer(313.0, -1127.0, 851.0))
-    found = read(made, "geometry_msgs/msg/Vector3Stamped")
-    assert xyz(found.vector) == [313.0, 1127.0, -851.0]
+    found = read(made, "sensor_msgs/msg/MagneticField")
+    field = xyz(found.magnetic_field)
+    size = math.sqrt(313.0**2 + 1127.0**2 + 851.0**2)
+    ours = math.hypot(*field)
+    assert [one / ours for one in field] == pytest.approx(
+        [313.0 / size, 1127.0 / size, -851.0 / size]
+    )
+    # Tesla: DJI calls 1000 to 2000 normal, and the field of the Earth is 25 to 65 µT.
+    assert 25e-6 < ours < 65e-6
+    assert list(found.magnetic_field_covariance) == [0.0] * 9, "sensor_msgs: not known"
     assert found.header.frame_id == "base_link"
+
+
+def test_covariances_are_the_squares_of_the_deviations() -> None:
+    """By rows; of a pose x, y, z, roll, pitch, yaw (geometry_msgs/PoseWithCovariance)."""
+    made = Messages("odom", "base_link")
+    made.deviate(Deviations(1.5, 2.5, 0.5, 0.25, 0.75, 0.125, 2.0))
+    rates = AngularVelocity(0.1, 0.2, 0.3)
+    data = made.odometry(STAMP, (4.0, 5.0, 6.0), NORTH, Velocity(2.0, 1.0, 0.5, None), rates)
+    odometry = read(data, "nav_msgs/msg/Odometry")
+    for found, squares in (
+        (odometry.pose.covariance, [2.25, 2.25, 6.25, 0.0625, 0.0625, 0.5625]),
+        (odometry.twist.covariance, [0.25, 0.25, 0.25, 0.015625, 0.015625, 0.015625]),
+    ):
+        matrix = found.reshape(6, 6)
+        assert list(matrix.diagonal()) == squares
+        assert matrix.sum() == pytest.approx(sum(squares))
+    fix = read(made.fix(STAMP, Position(0.8, 0.2, 100.0, 5.0, 4)), "sensor_msgs/msg/NavSatFix")
+    assert list(fix.position_covariance) == [2.25, 0, 0, 0, 2.25, 0, 0, 0, 6.25]
+    assert fix.position_covariance_type == 1, "approximated"
+    acceleration = Acceleration(1.0, 2.0, 3.0)
+    imu = read(made.imu(STAMP, NORTH, rates, acceleration), "sensor_msgs/msg/Imu")
+    assert list(imu.linear_acceleration_covariance) == [4.0, 0, 0, 0, 4.0, 0, 0, 0, 4.0]
+    made.deviate(Deviations(position_m=0.0))
+    fix = read(made.fix(STAMP, Position(0.8, 0.2, 100.0, 5.0, 4)), "sensor_msgs/msg/NavSatFix")
+    assert fix.position_covariance_type == 0, "unknown"
 
 
 def test_odometry_has_the_motion_in_the_body() -> None:
@@ -108,7 +144,9 @@ def test_without_gps_there_is_no_fix() -> None:
     for health, status in ((None, 0), (3, 0), (2, -1)):
         data = MADE.fix(STAMP, Position(0.8, 0.2, 100.0, 5.0, health))
         found = read(data, "sensor_msgs/msg/NavSatFix")
-        assert (found.status.status, found.position_covariance_type) == (status, 0)
+        # A place without a fix says nothing, and neither does its covariance.
+        kind = 1 if status == 0 else 0
+        assert (found.status.status, found.position_covariance_type) == (status, kind)
         assert found.latitude == pytest.approx(math.degrees(0.8))
 
 

@@ -27,6 +27,7 @@ from m100link.apps.ros2.graph import Names
 from m100link.apps.ros2.publishers import MessageMaker
 from m100link.apps.ros2.topics import OUTPUTS
 from m100link.errors import BadSetpoint, M100Error, UsageError
+from m100link.log.ros2 import Deviations
 from m100link.missions import waypoint
 from m100link.missions.plan import WaypointPlan
 from m100link.protocol.commands.gimbal import GimbalAngle, GimbalAngleMode, GimbalSpeed
@@ -459,10 +460,10 @@ def rates_of(vector: Mapping[str, float]) -> GimbalSpeed:
     )
 
 
-# -- parameters, by the services of rcl_interfaces: rates to set, guards to read -------------------
+# -- parameters, by the services of rcl_interfaces: rates, deviations, and guards to read ----------
 
 
-MOST_HZ = 100.0  # of a topic; the aircraft says nothing more often
+MOST_HZ = 100.0  # of a topic; the aircraft says nothing more often, and nothing errs more
 _MOST_NAMES = 64  # of one request, which has to be answered within a step
 
 # Types of rcl_interfaces/msg/ParameterType.
@@ -505,6 +506,13 @@ class Parameters:
         for topic, row in OUTPUTS.items():
             if row.hz:
                 self._add_rate(topic, teller)
+        for name in Deviations._fields:
+            self._rows[f"deviations.{name}"] = Parameter(
+                _DOUBLE,
+                "standard deviation for the covariances of imu, fix and odom; 0: unknown",
+                lambda name=name: getattr(teller.deviations, name),  # type: ignore[misc] # keeps its name
+                partial(teller.set_deviation, name),
+            )
         services: dict[str, Callable[[dict[str, Any]], Mapping[str, Any]]] = {
             "list_parameters": self._list,
             "get_parameters": lambda asked: {"values": [*map(self._value, asked["names"])]},

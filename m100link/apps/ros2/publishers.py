@@ -15,7 +15,7 @@ from m100link.apps.ros2.graph import Names
 from m100link.apps.ros2.topics import DJI_OUTPUTS, OUTPUTS, dji_makers
 from m100link.geodesy import LocalFrame
 from m100link.log.cdr import encode
-from m100link.log.ros2 import Messages, Stamp
+from m100link.log.ros2 import Deviations, Messages, Stamp
 from m100link.protocol import records
 from m100link.telemetry.device_clock import DeviceClock
 from m100link.telemetry.integrity import has_fix
@@ -119,10 +119,12 @@ class MessageMaker:
         self._placed: tuple[Sample, Place | None] | None = None
         self._read_of: Sample | None = None
         self._records: dict[type[Any], Any] = {}
+        self.deviations = Deviations()  # in the covariances
         self._messages = Messages(names.frame("odom"), names.frame("base_link"))
         self._due: dict[str, float] = {}
         self._status: dict[str, Any] = {}
         self._looks_at = agent.now
+        self._ground: records.Position | None = None  # where it stands, before it takes off
         makers: dict[str, _Make] = {
             "~/imu": self._imu,
             "~/fix": _of(records.Position, self._messages.fix),
@@ -175,6 +177,10 @@ class MessageMaker:
         for source in self._sources:
             if source.name == name:
                 source.set_rate(rates.get(hz) or _Rate(hz))
+
+    def set_deviation(self, name: str, value: float) -> None:
+        self.deviations = self.deviations._replace(**{name: value})
+        self._messages.deviate(self.deviations)
 
     def _read(self, record: type[R], sample: Sample) -> R | None:
         """An item of this package; several topics ask for the same."""
@@ -240,6 +246,7 @@ class MessageMaker:
         if now < self._looks_at:
             return
         self._looks_at = now + _LOOK_S
+        self._look_for_home()
         status = self._flight_status()
         if status != self._status or now >= self._due.get("~/flight_status", now):
             self._status = status
@@ -253,6 +260,20 @@ class MessageMaker:
             found = diagnostics(self._agent.view, self._stamps.clock, self._counted())
             status_of = [one.status(self._named) for one in found]
             self._topics["/diagnostics"].say({"header": message, "status": status_of})
+
+    def _look_for_home(self) -> None:
+        """The last place on the ground, once it is left: there the aircraft takes its home point.
+
+        A node that begins in the air cannot know it.
+        """
+        view = self._agent.view
+        position = view.get(records.Position)
+        if view.is_on_ground and position is not None and has_fix(position):
+            self._ground = position
+        elif view.is_airborne and self._ground is not None:
+            stamp = self._stamps.at(self._agent.now)
+            self._topics["~/home"].put(self._messages.fix(stamp, self._ground))
+            self._ground = None
 
     def _header(self, stamp: Stamp) -> dict[str, Any]:
         return {"stamp": _time(stamp), "frame_id": self._names.frame("base_link")}

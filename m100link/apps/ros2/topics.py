@@ -40,7 +40,13 @@ OUTPUTS: Mapping[str, Output] = {
         "sensor_msgs/NavSatFix",
         SENSOR,
         10,
-        "position by GPS; the altitude is by the barometer, no covariance is known",
+        "position by GPS; the altitude is by the barometer",
+    ),
+    "~/home": Output(
+        "sensor_msgs/NavSatFix",
+        STATE,
+        0,
+        "the place of take-off; the pilot may move the home point",
     ),
     "~/odom": Output(
         "nav_msgs/Odometry",
@@ -56,7 +62,7 @@ OUTPUTS: Mapping[str, Output] = {
         "sensor_msgs/BatteryState", SENSOR, 1, "percentage; the wire has no voltage and no current"
     ),
     "~/magnetic_field": Output(
-        "geometry_msgs/Vector3Stamped", SENSOR, 10, "raw numbers without a unit, in the body"
+        "sensor_msgs/MagneticField", SENSOR, 10, "direction in the body; its size is nominal"
     ),
     "~/joy": Output(
         "sensor_msgs/Joy", SENSOR, 20, "the remote: roll, pitch, yaw, throttle; switch, gear"

@@ -153,6 +153,18 @@ async def test_of_two_nodes_of_one_name_none_is_flown(rig: Rig, program: Program
     assert (await program.call("~/obtain_control"))["success"]
 
 
+async def test_home_is_the_place_that_the_aircraft_left(rig: Rig, program: Program) -> None:
+    before = rig.said("~/fix")[-1]
+    assert not rig.outlet("~/home").sent
+    await program.up()
+    await program.fly(4.0, 2.0)
+    [home] = rig.said("~/home")
+    for name in ("latitude", "longitude"):
+        assert home[name] == pytest.approx(before[name], abs=1e-5)
+    now = rig.said("~/fix")[-1]
+    assert abs(now["latitude"] - home["latitude"]) > 2e-5, "2 m/s to the north for 4 s"
+
+
 async def test_on_the_ground_speeds_move_nothing(rig: Rig, program: Program) -> None:
     assert (await program.call("~/obtain_control"))["success"]
     await program.fly(1.0, 2.0, z=1.0)
@@ -422,6 +434,7 @@ def test_after_a_second_without_a_step_what_comes_for_0_3_s_is_old(
         is_even=False,
         payload=parts.payload,
         looked_at=30.0,
+        look_at_graph=Mock(),
     )
     node.actions, node.control, node.ends, node.teller = Mock(), parts, parts.ends, parts
     node.step()

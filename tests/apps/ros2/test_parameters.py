@@ -47,8 +47,22 @@ async def test_they_are_listed_described_and_read(rig: Rig, program: Program) ->
     described = (await ask(program, "describe_parameters", names=names))["descriptors"]
     assert [one["name"] for one in described] == names
     assert {one["name"] for one in described if not one["read_only"]} == {
-        n for n in names if n.startswith("rates.")
+        n for n in names if n.startswith(("rates.", "deviations."))
     }
+
+
+async def test_a_deviation_is_set_and_is_squared_in_the_covariance(
+    rig: Rig, program: Program
+) -> None:
+    [before] = (await ask(program, "get_parameters", names=["deviations.height_m"]))["values"]
+    assert before["double_value"] == 2.0
+    wanted = [{"name": "deviations.height_m", "value": value(0.5)}]
+    [result] = (await ask(program, "set_parameters", parameters=wanted))["results"]
+    assert result["successful"]
+    await anyio.sleep(0.2)
+    pose = rig.said("~/odom")[-1]["pose"]["covariance"]
+    fix = rig.said("~/fix")[-1]["position_covariance"]
+    assert (pose[14], fix[8], pose[0]) == (0.25, 0.25, 6.25)
 
 
 async def test_a_rate_is_set(rig: Rig, program: Program) -> None:
