@@ -187,6 +187,10 @@ class PolledBus(Session, Protocol):
         """See tokens come and go, those first that are there; :data:`DEPTH` of them wait."""
         ...
 
+    def is_alone(self) -> bool:
+        """Whether it is connected to nobody: then nobody can find what it declares."""
+        ...
+
     def probe(self, key: str, *, timeout: float) -> Inbox[bool]:
         """Ask whether anybody answers, for so many seconds: true for each who does."""
         ...

@@ -263,6 +263,10 @@ class ZenohBus:
 
         return network.Ring(declared, change, network.DEPTH, self._zenoh.ZError)
 
+    def is_alone(self) -> bool:
+        info = self._session.info
+        return not (info.routers_zid() or info.peers_zid())
+
     def probe(self, key: str, *, timeout: float) -> network.Inbox[bool]:
         # No ring, which is emptied when the question has ended.
         queue: Any = self._zenoh.handlers.FifoChannel(_MOST_ANSWERS)

@@ -36,7 +36,7 @@ from m100link.apps.ros2.endpoints import (
     trigger,
 )
 from m100link.apps.ros2.graph import ADMIN, GraphDiscovery, Names, NodeName
-from m100link.apps.ros2.publishers import ALL_OUTPUTS, MessageMaker
+from m100link.apps.ros2.publishers import ALL_OUTPUTS, DiagnosticLevel, MessageMaker, Status
 from m100link.apps.ros2.topics import DJI_OUTPUTS, INPUTS, SERVICES
 from m100link.errors import M100Error, UsageError
 from m100link.protocol.records import Position
@@ -54,6 +54,12 @@ _DEAF_S = 0.3  # seconds after such a standstill in which what comes was sent be
 _LOOK_S = 0.5
 _TELL_S = 2.0
 _MOST_REPORTED = 16
+_ALONE_S, _AGAIN_S = 2.0, 60.0  # seconds of trouble with the graph before a report, and the next
+
+_ALONE = (
+    "no router of ROS 2 answers, and nobody sees this node: start rmw_zenohd, "
+    "or name its place by ZENOH_CONFIG_OVERRIDE"
+)
 
 _REFUSED = {
     "other": "another publisher is active, or this one was cut off while it published; "
@@ -81,7 +87,9 @@ class Node:
         self.name = NodeName(domain, bus.session, names.namespace, names.node, number)
         self.ends = Endpoints(bus, self.name, agent.background, utc)  # its topics and services
         self.control = RosControl(agent)  # what ROS programs want of the aircraft
-        self._presence = GraphDiscovery(lambda: bus.changes(f"{ADMIN}/{domain}/**"))
+        self._bus, self._presence = bus, GraphDiscovery(lambda: bus.changes(f"{ADMIN}/{domain}/**"))
+        # The trouble with the graph, when it is reported next, and whether it was.
+        self._trouble, self._tells_at, self._is_told = "", agent.now, False
         self._looked_at = self._ran_at = self._deaf_until = agent.now
         self._reported: dict[str, float] = {}
         self._has_come = asyncio.Event()  # a package of telemetry, since the last step
@@ -95,9 +103,7 @@ class Node:
             for name, out in ALL_OUTPUTS.items()
             if (has_clock or name != "/clock") and (has_dji_names or name not in DJI_OUTPUTS)
         }
-        self.teller = MessageMaker(
-            agent, names, topics, utc, lambda: self.counted
-        )  # what is published
+        self.teller = MessageMaker(agent, names, topics, utc, self._status)  # what is published
         takes: dict[str, Make] = {
             "~/cmd_vel": self._stamped,
             "~/cmd_vel_unstamped": lambda message: speed(message, is_body=True),
@@ -128,6 +134,26 @@ class Node:
         """Setpoints and payloads that were refused, by the reason."""
         refused = {f"setpoints {why}": count for why, count in self.control.mux.refused.items()}
         return {"payloads that could not be read": self.ends.refused, **refused}
+
+    def _status(self) -> Status:
+        level = DiagnosticLevel.WARN if self._trouble else DiagnosticLevel.OK
+        seen = self._trouble or "failures since the start of the node"
+        return Status("node", level, seen, self.counted)
+
+    def _look_at_graph(self) -> None:
+        """Say that programs cannot find it, or would reach another one as well; again and again."""
+        now, name, trouble = self._agent.now, self.name, ""
+        if self._presence.has_duplicate(name.full, name.session):
+            trouble = f"two nodes are called {name.full}: end one, or give it another name"
+        elif self._bus.is_alone():
+            trouble = _ALONE
+        if trouble != self._trouble:
+            if self._is_told and not trouble:
+                self._agent.note("programs of ROS find this node, and no other of its name")
+            self._trouble, self._tells_at, self._is_told = trouble, now + _ALONE_S, False
+        if trouble and now >= self._tells_at:
+            self._tells_at, self._is_told = now + _AGAIN_S, True
+            self._agent.note(trouble, "warning")
 
     # -- setpoints -------------------------------------------------------------------------------
 
@@ -236,6 +262,7 @@ class Node:
         if now - self._looked_at >= _LOOK_S:
             self._looked_at = now
             self.ends.look()
+            self._look_at_graph()
             if self.ends.refusal:
                 self._tell(self.ends.refusal, "warning")
                 self.ends.refusal = ""

@@ -107,11 +107,11 @@ class MessageMaker:
         # Where the topics of the table go; those that are missing are not published.
         topics: Mapping[str, PublishedTopic],
         utc: Callable[[], float],  # POSIX time, s
-        counted: Callable[[], Mapping[str, int]],  # what the node did not do, by the reason
+        own: Callable[[], Status],  # how the node itself is
     ) -> None:
         self._agent, self._names = agent, names
         self._named = names.full("~/x")[1:-2]
-        self._topics, self._counted = topics, counted
+        self._topics, self._own = topics, own
         self._stamps = Stamps(lambda: agent.now, utc)
         self.places = Places()  # where it is
         # Messages per second at most, by topic; 0 for each that there is.
@@ -257,8 +257,8 @@ class MessageMaker:
         if is_wanted and now >= self._due.get("/diagnostics", now):
             self._due["/diagnostics"] = now + _STATE_S
             message = {"stamp": _time(self._stamps.at(now)), "frame_id": ""}
-            found = diagnostics(self._agent.view, self._stamps.clock, self._counted())
-            status_of = [one.status(self._named) for one in found]
+            found = diagnostics(self._agent.view, self._stamps.clock)
+            status_of = [one.status(self._named) for one in (*found, self._own())]
             self._topics["/diagnostics"].say({"header": message, "status": status_of})
 
     def _look_for_home(self) -> None:
@@ -356,12 +356,9 @@ class Status:
         }
 
 
-def diagnostics(
-    view: VehicleView, clock: DeviceClock | None, counted: Mapping[str, int]
-) -> list[Status]:
-    """How everything is. ``clock``: its clock; None before its first tick."""
-    node = Status("node", DiagnosticLevel.OK, "failures since the start of the node", counted)
-    return [_line(view), _clock(clock), _navigation(view), _control(view), _battery(view), node]
+def diagnostics(view: VehicleView, clock: DeviceClock | None) -> list[Status]:
+    """How the aircraft is. ``clock``: its clock; None before its first tick."""
+    return [_line(view), _clock(clock), _navigation(view), _control(view), _battery(view)]
 
 
 def _line(view: VehicleView) -> Status:

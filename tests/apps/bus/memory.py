@@ -320,6 +320,9 @@ class MemoryBus:
         self.watch(pattern, lambda key, is_there: inbox.waiting.append(TokenChange(key, is_there)))
         return inbox
 
+    def is_alone(self) -> bool:
+        return False
+
     def probe(self, key: str, *, timeout: float) -> Inbox[bool]:
         """Ask whether anybody answers."""
         inbox = MemoryInbox[bool](DEPTH)

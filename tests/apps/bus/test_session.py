@@ -476,6 +476,14 @@ async def test_a_probe_is_answered_by_who_has_what_it_asks_for() -> None:
         assert not any(inbox.take() for inbox in nobody)
 
 
+async def test_a_session_knows_whether_it_is_connected_to_anybody() -> None:
+    async with open_session(opening("peer")) as bus:
+        assert bus.is_alone()
+    async with AsyncExitStack() as stack:
+        one, other = await two(stack)
+        await until(lambda: not (one.is_alone() or other.is_alone()))
+
+
 async def test_nothing_is_raised_when_the_session_has_ended() -> None:
     async with open_session(opening("peer")) as bus:
         outlet = bus.publish("0/a")

@@ -64,6 +64,7 @@ class RecordingBus:
         self.changed = MemoryInbox[TokenChange](1024)
         self.asked: list[str] = []
         self.answering: set[str] = set()
+        self.is_connected = True
 
     def publish(self, key: str, *, kept: int = 0) -> Outlet:
         return self.outlets.setdefault(key, RecordingOutlet())
@@ -80,6 +81,9 @@ class RecordingBus:
 
     def changes(self, pattern: str) -> Inbox[TokenChange]:
         return self.changed
+
+    def is_alone(self) -> bool:
+        return not self.is_connected
 
     def probe(self, key: str, *, timeout: float) -> Inbox[bool]:
         inbox = MemoryInbox[bool](1)

@@ -234,6 +234,7 @@ async def test_a_publisher_is_one_of_rclpy(rclpy: Rclpy) -> None:
     assert not rclpy.up
     assert not set(dds._PROFILES_BY) & set(os.environ)
     assert "<nanosec>200000000</nanosec>" in rclpy.profiles
+    assert "<leaseDuration><sec>3</sec></leaseDuration>" in rclpy.profiles
 
 
 async def test_profiles_of_the_user_stay(rclpy: Rclpy, tmp_path: Path) -> None:
@@ -304,6 +305,7 @@ async def test_clients_of_goals_and_namesakes_are_tokens(rclpy: Rclpy) -> None:
         declared(bus, EntityKind.SERVER, SEND, "m100_msgs/action/FlyTo_SendGoal")
         [node], changes = rclpy.nodes, bus.changes("@ros2_lv/7/**")
         assert changes.take() == []
+        assert not bus.is_alone(), "DDS has no router that could be missing"
         gid = bytes(range(16))
         asker = SimpleNamespace(
             endpoint_gid=list(gid), node_namespace="/", node_name="_NODE_NAME_UNKNOWN_"

@@ -153,6 +153,50 @@ async def test_of_two_nodes_of_one_name_none_is_flown(rig: Rig, program: Program
     assert (await program.call("~/obtain_control"))["success"]
 
 
+def own_status(rig: Rig) -> tuple[int, str]:
+    """Level and message of the node itself: OK 0, WARN 1 (diagnostic_msgs/DiagnosticStatus)."""
+    newest = rig.said("/diagnostics")[-1]["status"]
+    [node] = [one for one in newest if one["name"] == "m100: node"]
+    return node["level"], node["message"]
+
+
+def warnings(rig: Rig, words: str) -> int:
+    return sum(words in one["msg"] and one["level"] == 30 for one in rig.said("/rosout"))
+
+
+async def test_a_namesake_is_reported_in_the_log_and_in_the_diagnostics(rig: Rig) -> None:
+    other = NodeName(0, "anotherone", "/", "m100").token
+    rig.bus.changed.waiting.append(TokenChange(other, True))
+    await anyio.sleep(4.0)
+    assert warnings(rig, "two nodes are called /m100") == 1
+    level, message = own_status(rig)
+    assert (level, "two nodes are called /m100" in message) == (1, True)
+    await anyio.sleep(60.0)
+    assert warnings(rig, "two nodes are called /m100") == 2
+    rig.bus.changed.waiting.append(TokenChange(other, False))
+    await anyio.sleep(2.0)
+    assert own_status(rig)[0] == 0
+    assert "no other of its name" in rig.said("/rosout")[-1]["msg"]
+
+
+async def test_without_a_router_it_says_so_after_two_seconds_and_again() -> None:
+    rig = Rig()
+    rig.bus.is_connected = False
+    async with rig.running():
+        await anyio.sleep(1.5)
+        assert not warnings(rig, "no router of ROS 2 answers")
+        await anyio.sleep(1.5)
+        assert warnings(rig, "no router of ROS 2 answers") == 1
+        assert own_status(rig)[0] == 1
+        await anyio.sleep(60.0)
+        assert warnings(rig, "no router of ROS 2 answers") == 2
+        rig.bus.is_connected = True
+        await anyio.sleep(2.0)
+        assert own_status(rig)[0] == 0
+        await anyio.sleep(120.0)
+        assert warnings(rig, "no router of ROS 2 answers") == 2
+
+
 async def test_home_is_the_place_that_the_aircraft_left(rig: Rig, program: Program) -> None:
     before = rig.said("~/fix")[-1]
     assert not rig.outlet("~/home").sent
