@@ -154,7 +154,7 @@ def tell_log(name: str, event: Event) -> None:
 
 
 def credentials(rights: Rights, who: str) -> dict[str, Any]:
-    """The key and certificate of an operator, as :func:`connect` takes them. Raises ``UsageError``."""
+    """The key and certificate of an operator, for :func:`connect`. Raises ``UsageError``."""
     return {
         "sign": signing(read_signer(rights.pki, who)),
         "authority": Revocations.of_folder(rights.pki),

@@ -9,17 +9,22 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations
+from functools import partial
+from itertools import combinations, pairwise
 from pathlib import Path
 from typing import Any, Self
 
 from m100link.apps.fleet.show.plan.track import (
+    SPARE_M,
     BadShow,
+    Box,
     TimedPoint,
     TimedTrack,
     Vector,
+    Windows,
     apart,
     closest,
+    overlapping,
     under,
 )
 from m100link.errors import BadPlan, GuardRefused
@@ -264,8 +269,9 @@ def check(show: Show, envelope: Envelope | None = None) -> Report:
     problems = [
         problem for track in show.tracks for problem in _alone(track, envelope or Envelope())
     ]
-    problems += _together(show)
-    return Report(tuple(problems), tuple(_remarks(show)), _closest(show))
+    windows, there = Windows(show.tracks), places(show)
+    problems += _together(show, windows)
+    return Report(tuple(problems), tuple(_remarks(show, there)), _closest(show, windows, there))
 
 
 # -- one aircraft ---------------------------------------------------------------------------------
@@ -329,7 +335,7 @@ def _too_much(track: TimedTrack, which: int, speed: float, limit: float) -> BadS
 # -- all of them ----------------------------------------------------------------------------------
 
 
-def _together(show: Show) -> Iterator[BadShow]:
+def _together(show: Show, windows: Windows) -> Iterator[BadShow]:
     for first, second in combinations(show.tracks, 2):
         for which, word in ((0, "take off"), (-1, "end")):
             a, b = first.points[which], second.points[which]
@@ -346,9 +352,10 @@ def _together(show: Show) -> Iterator[BadShow]:
                     cause="each climbs to its first point, and may land below its last one",
                     remedy="move one of them aside",
                 )
-    for first, second, distance, at in under(
-        show.tracks, lambda first, second: needed_m(show, first, second)
-    ):
+    fastest = max(math.hypot(*track.fastest) for track in show.tracks)
+    widest = max(track.tube_m for track in show.tracks)
+    near = windows.near(show.least_distance_m + 2 * (widest + SKEW_S * fastest))
+    for first, second, distance, at in under(show.tracks, partial(needed_m, show), near):
         needed = needed_m(show, first, second)
         yield BadShow(
             f"{first.name} and {second.name} come as near as {distance:.1f} m at {at:.2f} s; "
@@ -363,18 +370,26 @@ def _together(show: Show) -> Iterator[BadShow]:
         )
 
 
-def _closest(show: Show) -> Closest | None:
+def _closest(show: Show, windows: Windows, there: Sequence[Places]) -> Closest | None:
+    if len(show.tracks) < 2:
+        return None
+    # No farther than at one of these moments, and a millimetre more: that one itself is found.
+    below = min(distance for _, distance in _least(show, there)) + 1e-3
     best: Closest | None = None
-    for first, second in combinations(show.tracks, 2):
-        found = closest(first, second, below=math.inf if best is None else best.distance_m)
+    for (i, j), spans in windows.near(below).items():
+        first, second = show.tracks[i], show.tracks[j]
+        found = closest(first, second, below=below, during=spans)
         if found is not None:
-            distance, at = found
-            needed = needed_m(show, first, second)
-            best = Closest(at, first.name, second.name, distance, needed)
+            below, at = found
+            best = Closest(at, first.name, second.name, below, needed_m(show, first, second))
     return best
 
 
-def places(show: Show) -> list[tuple[float, list[Vector]]]:
+Places = tuple[float, list[Vector]]
+"""Seconds from the beginning of the show, and where each aircraft is."""
+
+
+def places(show: Show) -> list[Places]:
     """Where each one is at a few hundred moments: for a picture, and for what may surprise."""
     return [
         (at, [track.moment(at).place for track in show.tracks])
@@ -384,27 +399,38 @@ def places(show: Show) -> list[tuple[float, list[Vector]]]:
 
 def distances(show: Show) -> list[tuple[float, float]]:
     """Time and least distance of any two at a few hundred moments; nothing for one aircraft."""
+    return list(_least(show, places(show)))
+
+
+def _least(show: Show, there: Sequence[Places]) -> Iterator[tuple[float, float]]:
     ends = [track.end for track in show.tracks]
-    return [
-        (
-            at,
-            min(
-                apart(first, second, first_ended=at >= ends[i], second_ended=at >= ends[j])
-                for (i, first), (j, second) in combinations(enumerate(there), 2)
-            ),
-        )
-        for at, there in places(show)
-        if len(there) > 1
-    ]
+    for at, spots in there if len(ends) > 1 else ():
+
+        def distance(i: int, j: int, at: float = at, spots: Sequence[Vector] = spots) -> float:
+            ended = {"first_ended": at >= ends[i], "second_ended": at >= ends[j]}
+            return apart(spots[i], spots[j], **ended)
+
+        # No farther than one of those that are neighbours from south to north.
+        order = sorted(range(len(spots)), key=spots.__getitem__)
+        within = min(distance(i, j) for i, j in pairwise(order))
+        boxes = [_spot(spot, at >= end) for spot, end in zip(spots, ends, strict=True)]
+        nearer = overlapping(boxes, within)
+        yield at, min((distance(i, j) for i, j in nearer), default=within)
 
 
-def _remarks(show: Show) -> Iterator[str]:
+def _spot(spot: Vector, has_ended: bool) -> Box:
+    north, east, up = spot
+    return north, north, east, east, -math.inf if has_ended else up, up
+
+
+def _remarks(show: Show, there: Sequence[Places]) -> Iterator[str]:
     """Aircraft above others: one that fails falls on whatever is below."""
     reported: set[tuple[int, int]] = set()
-    for at, there in places(show):
-        for (i, first), (j, second) in combinations(enumerate(there), 2):
-            upper, lower = (i, j) if first[2] > second[2] else (j, i)
-            is_near = math.dist(first[:2], second[:2]) < show.least_distance_m
+    for at, spots in there:
+        boxes = [_spot((*spot[:2], 0.0), has_ended=True) for spot in spots]
+        for i, j in sorted(overlapping(boxes, show.least_distance_m + SPARE_M)):
+            upper, lower = (i, j) if spots[i][2] > spots[j][2] else (j, i)
+            is_near = math.dist(spots[i][:2], spots[j][:2]) < show.least_distance_m
             if is_near and (upper, lower) not in reported:
                 reported.add((upper, lower))
                 yield (

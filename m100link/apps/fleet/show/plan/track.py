@@ -11,11 +11,11 @@ import hashlib
 import math
 import struct
 from bisect import bisect_right
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
-from operator import itemgetter
+from itertools import pairwise, takewhile
+from operator import attrgetter, itemgetter
 from typing import Self
 
 from m100link.errors import UsageError
@@ -93,16 +93,21 @@ class TrackSegment:
         rest = 1.0 - share
         p0, p1, p2, p3 = self.curve
         w0, w1, w2, w3 = rest**3, 3 * rest * rest * share, 3 * rest * share * share, share**3
-        d0, d1, d2 = rest * rest, 2 * rest * share, share * share
-        per_s = 3.0 / self.duration
         north, east, up = (
             w0 * a + w1 * b + w2 * c + w3 * d for a, b, c, d in zip(p0, p1, p2, p3, strict=True)
         )
-        v_north, v_east, v_up = (
+        return Moment((north, east, up), self._velocity(share))
+
+    def _velocity(self, share: float) -> Vector:
+        rest = 1.0 - share
+        d0, d1, d2 = rest * rest, 2 * rest * share, share * share
+        per_s = 3.0 / self.duration
+        p0, p1, p2, p3 = self.curve
+        north, east, up = (
             per_s * (d0 * (b - a) + d1 * (c - b) + d2 * (d - c))
             for a, b, c, d in zip(p0, p1, p2, p3, strict=True)
         )
-        return Moment((north, east, up), (v_north, v_east, v_up))
+        return north, east, up
 
     @property
     def _accelerations(self) -> tuple[Vector, Vector]:
@@ -128,13 +133,12 @@ class TrackSegment:
         first, last = self._accelerations
         half = self.duration / _SAMPLES / 2
         across = upright = 0.0
-        for index in range(_SAMPLES):
-            for end in (index, index + 1):
-                share = end / _SAMPLES
-                north, east, up = self.moment(self.begin + self.duration * share).velocity
-                n, e, u = (a + (b - a) * share for a, b in zip(first, last, strict=True))
-                across = max(across, math.hypot(north, east) + half * math.hypot(n, e))
-                upright = max(upright, abs(up) + half * abs(u))
+        for index in range(_SAMPLES + 1):
+            share = index / _SAMPLES
+            north, east, up = self._velocity(share)
+            n, e, u = (a + (b - a) * share for a, b in zip(first, last, strict=True))
+            across = max(across, math.hypot(north, east) + half * math.hypot(n, e))
+            upright = max(upright, abs(up) + half * abs(u))
         return across, upright
 
 
@@ -323,6 +327,14 @@ def _problems(track: TimedTrack) -> Iterator[str]:
 
 
 _EXACT_M = 1e-3
+SPARE_M = 1e-6  # more than rounding takes
+_WINDOWS = 100
+
+Box = tuple[float, float, float, float, float, float]
+"""The least and the greatest north, east and height, m."""
+Span = tuple[float, float]
+"""From when to when, seconds from the beginning of the show."""
+_AT = attrgetter("at")
 
 Metric = Callable[[Vector], float]
 
@@ -358,11 +370,16 @@ def _metric(first_ended: bool, second_ended: bool) -> tuple[Metric, float]:
 
 
 def closest(
-    first: TimedTrack, second: TimedTrack, *, below: float = math.inf
+    first: TimedTrack,
+    second: TimedTrack,
+    *,
+    below: float = math.inf,
+    during: Sequence[Span] = ((0.0, math.inf),),
 ) -> tuple[float, float] | None:
     """The least distance of two tracks and when it is, m and s.
 
-    ``below``: farther is of no interest: None then, and quickly.
+    ``below``: farther is of no interest: None then, and quickly. ``during``: when they may be
+    nearer.
     """
     last = max(first.end, second.end)
     ends = first.moment(last).place, second.moment(last).place
@@ -370,6 +387,8 @@ def closest(
     found = (apart(*ends, first_ended=True, second_ended=True), last)
     times = {0.0, *(point.at for track in (first, second) for point in track.points)}
     for begin, end in pairwise(sorted(times)):
+        if not any(start < end and begin < stop for start, stop in during):
+            continue
         metric, sign = _metric(begin >= first.end, begin >= second.end)
         curve = _apart(_piece(first, begin, end), _piece(second, begin, end), sign)
         least = _least(curve, begin, end, metric, min(found[0], below))
@@ -377,15 +396,74 @@ def closest(
     return found if found[0] < below else None
 
 
+class Windows:
+    """The boxes in which tracks are in each of some windows of time.
+
+    Two whose boxes are apart in a window are not looked at in it: of two hundred aircraft each has
+    few that are near.
+    """
+
+    def __init__(self, tracks: Sequence[TimedTrack]) -> None:
+        last = max(track.end for track in tracks)
+        times = sorted({0.0, last} | {point.at for track in tracks for point in track.points})
+        if len(times) > _WINDOWS:
+            times = [last * index / _WINDOWS for index in range(_WINDOWS + 1)]
+        # Behind the last one each hovers or lands.
+        spans = [*pairwise(times), (last, math.inf)]
+        self._boxes = [(span, [_box(track, *span) for track in tracks]) for span in spans]
+
+    def near(self, within: float) -> dict[tuple[int, int], list[Span]]:
+        """When which two may be nearer than that, m; two that never are have no entry."""
+        found: dict[tuple[int, int], list[Span]] = {}
+        for span, boxes in self._boxes:
+            for pair in overlapping(boxes, within + SPARE_M):
+                found.setdefault(pair, []).append(span)
+        return dict(sorted(found.items()))
+
+
+def _box(track: TimedTrack, begin: float, end: float) -> Box:
+    """Where a track is in a window; one that ends in it or before is everywhere below, too."""
+    last = min(end, max(track.end, begin))
+    own = track.points[bisect_right(track.points, begin, key=_AT) :]
+    inner = takewhile(lambda point: point.at < last, own)
+    times = [begin, *(point.at for point in inner), last]
+    if begin >= track.end:
+        places: list[Vector] = [track.points[-1].place]
+    else:
+        places = [place for piece in pairwise(times) for place in _piece(track, *piece)]
+    low, high = (tuple(map(each, zip(*places, strict=True))) for each in (min, max))
+    floor = -math.inf if end > track.end or begin >= track.end else low[2]
+    return (low[0], high[0], low[1], high[1], floor, high[2])
+
+
+def overlapping(boxes: Sequence[Box], within: float) -> Iterator[tuple[int, int]]:
+    """The pairs of boxes, by their places, that are nearer to each other than that, m."""
+    active: list[int] = []
+    for one in sorted(range(len(boxes)), key=lambda place: boxes[place][0]):
+        south, _, west, east, floor, top = boxes[one]
+        active = [other for other in active if boxes[other][1] > south - within]
+        for other in active:
+            _, north, other_west, other_east, other_floor, other_top = boxes[other]
+            across = max(other_west - east, west - other_east)
+            if across < within:
+                upright = max(other_floor - top, floor - other_top)
+                gaps = (max(0.0, gap) for gap in (south - north, across, upright))
+                if math.hypot(*gaps) < within:
+                    yield min(one, other), max(one, other)
+        active.append(one)
+
+
 def under(
-    tracks: Sequence[TimedTrack], needed: Callable[[TimedTrack, TimedTrack], float]
+    tracks: Sequence[TimedTrack],
+    needed: Callable[[TimedTrack, TimedTrack], float],
+    near: Mapping[tuple[int, int], Sequence[Span]],  # at most so near, and when: of `Windows`
 ) -> Iterator[tuple[TimedTrack, TimedTrack, float, float]]:
     """The pairs that come nearer to each other than they may: both, distance and time."""
-    for index, first in enumerate(tracks):
-        for second in tracks[index + 1 :]:
-            found = closest(first, second, below=needed(first, second))
-            if found is not None:
-                yield first, second, *found
+    for (i, j), spans in near.items():
+        first, second = tracks[i], tracks[j]
+        found = closest(first, second, below=needed(first, second), during=spans)
+        if found is not None:
+            yield first, second, *found
 
 
 def _piece(track: TimedTrack, begin: float, end: float) -> Cubic:

@@ -5,15 +5,24 @@ from __future__ import annotations
 import itertools
 import json
 import math
+import random
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
+from itertools import combinations, permutations
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from m100link.apps.fleet.show.plan.document import SKEW_S, Show, check, distances, needed_m, svg
-from m100link.apps.fleet.show.plan.track import BadShow
+from m100link.apps.fleet.show.plan.track import (
+    BadShow,
+    TimedPoint,
+    TimedTrack,
+    Windows,
+    apart,
+    closest,
+)
 from m100link.errors import BadPlan
 from m100link.flight.guards import Envelope
 from m100link.geodesy import LocalFrame
@@ -385,3 +394,90 @@ def test_the_distance_is_drawn_from_its_first_to_its_last_second_and_upwards() -
     assert bottom - needed[0][1] == pytest.approx(6.2 * metre, rel=0.03)
     assert bottom - curve[0][1] == pytest.approx(30.15 * metre, rel=0.03)
     assert top < curve[0][1] < bottom
+
+
+# -- only those that are near are compared: the findings are those of every two --------------------
+
+
+def drawn_show(seed: int) -> Show:
+    """Up to nine aircraft that begin, turn, hover and end at times of their own, often too near."""
+    chance = random.Random(seed)
+    is_common = chance.random() < 0.5
+    wide, tracks = chance.choice([12.0, 40.0]), []
+    for number in range(chance.randint(1, 9)):
+        at, points = chance.choice([0.0, 2.5]), []
+        for _ in range(chance.randint(2, 12)):
+            north, east = chance.uniform(-wide, wide), chance.uniform(-wide, wide)
+            points.append(TimedPoint(at, north, east, chance.choice([5.0, 10.0, 15.0])))
+            at += 4.0 if is_common else chance.uniform(0.5, 9.0)
+        tube = chance.choice([0.5, 1.5])
+        tracks.append(TimedTrack(f"a{number}", (22.5, 113.9), tuple(points), tube_m=tube))
+    return Show("drawn", tuple(tracks), chance.choice([1.0, 3.0]))
+
+
+def too_near(show: Show) -> list[tuple[tuple[str, ...], float, float]]:
+    """Of every two, by the whole of their tracks."""
+    found: list[tuple[tuple[str, ...], float, float]] = []
+    for first, second in combinations(show.tracks, 2):
+        near = closest(first, second, below=needed_m(show, first, second))
+        if near is not None:
+            found.append(((first.name, second.name), *near))
+    return found
+
+
+def above(show: Show) -> set[tuple[str, str]]:
+    found = set()
+    for index in range(241):
+        at = show.duration * index / 240
+        for first, second in permutations(show.tracks, 2):
+            a, b = first.moment(at).place, second.moment(at).place
+            if math.dist(a[:2], b[:2]) < show.least_distance_m and a[2] > b[2]:
+                found.add((first.name, second.name))
+    return found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(24))
+def test_the_findings_are_those_of_every_two(seed: int) -> None:
+    show = drawn_show(seed)
+    report = check(show)
+    pairs = [one for one in report.problems if " as near as " in one.seen]
+    assert [(one.aircraft, one.measured, one.at) for one in pairs] == too_near(show)
+    nearest = [closest(*two) for two in combinations(show.tracks, 2)]
+    if report.closest is None:
+        assert not nearest
+    else:
+        least = min(distance for distance, _ in filter(None, nearest))
+        assert abs(report.closest.distance_m - least) <= 2e-3
+    remarked = {tuple(one.split(" at ")[0].split(" is above ")) for one in report.remarks}
+    assert above(show) <= remarked
+    least_at = [
+        min(
+            apart(
+                first.moment(at).place,
+                second.moment(at).place,
+                first_ended=at >= first.end,
+                second_ended=at >= second.end,
+            )
+            for first, second in combinations(show.tracks, 2)
+        )
+        for at, _ in distances(show)
+    ]
+    assert [distance for _, distance in distances(show)] == least_at
+
+
+def test_two_hundred_are_compared_with_those_near_them() -> None:
+    """A field of 15 by 14: of 19,900 pairs some 800 are looked at."""
+    points = [(4.0 * at, math.sin(at), math.cos(at)) for at in range(10)]
+    tracks = tuple(
+        TimedTrack(
+            f"a{number}",
+            (22.5, 113.9),
+            tuple(
+                TimedPoint(at, 8.0 * (number // 15) + north, 8.0 * (number % 15) + east, 10.0)
+                for at, north, east in points
+            ),
+        )
+        for number in range(200)
+    )
+    assert len(Windows(tracks).near(9.0)) < 1200

@@ -14,6 +14,7 @@ from m100link.apps.fleet.show.plan.track import (
     BadShow,
     TimedPoint,
     TimedTrack,
+    Windows,
     apart,
     closest,
     under,
@@ -224,5 +225,6 @@ def test_an_aircraft_that_is_far_enough_is_of_no_interest() -> None:
     found = closest(first, second, below=8.01)
     assert found is not None
     assert found[0] == pytest.approx(8.0)
-    pairs = list(under([first, second, third], lambda _a, _b: 9.0))
+    three = [first, second, third]
+    pairs = list(under(three, lambda _a, _b: 9.0, Windows(three).near(9.0)))
     assert [(a.name, b.name) for a, b, *_ in pairs] == [("a1", "a2")]
