@@ -34,7 +34,14 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 from m100link.apps.agent.orders import Right
 from m100link.apps.fleet.identity import PUBLIC, Identity, Rights, Signer
 from m100link.apps.fleet.keys import LIVE, NAME
-from m100link.apps.fleet.revocations import AUTHORITY, LIST, Revocations, Revoked, sign_revoked
+from m100link.apps.fleet.revocations import (
+    AUTHORITY,
+    LIST,
+    Revocations,
+    Revoked,
+    read_certificate,
+    sign_revoked,
+)
 from m100link.errors import UsageError
 from m100link.link.keyfile import read_token, replace_file
 
@@ -270,7 +277,7 @@ def _is_good(folder: Path, name: str, kind: Kind, hosts: Sequence[str], now: dat
     authority, _ = _authority(folder, now)
     signing = folder / f"{name}.signing.key"
     try:
-        found = x509.load_pem_x509_certificate((folder / f"{name}.pem").read_bytes())
+        found = read_certificate((folder / f"{name}.pem").read_bytes())
         key = load_pem_private_key((folder / f"{name}.key").read_bytes(), None)
         found.verify_directly_issued_by(authority)
         names = found.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
@@ -346,7 +353,7 @@ def listed(folder: Path) -> list[tuple[str, datetime, str]]:
         if place.name == AUTHORITY:
             continue
         try:
-            ends = x509.load_pem_x509_certificate(place.read_bytes()).not_valid_after_utc
+            ends = read_certificate(place.read_bytes()).not_valid_after_utc
         except (OSError, ValueError) as error:
             raise BadAuthority(
                 f"{place} has no certificate", remedy=f"take it out of {folder}"
@@ -414,7 +421,7 @@ def _usage(*, digital_signature: bool, key_cert_sign: bool) -> x509.KeyUsage:
 
 def _authority(folder: Path, now: datetime) -> tuple[x509.Certificate, ec.EllipticCurvePrivateKey]:
     try:
-        certificate = x509.load_pem_x509_certificate((folder / AUTHORITY).read_bytes())
+        certificate = read_certificate((folder / AUTHORITY).read_bytes())
         key = load_pem_private_key((folder / f"{_CA}.key").read_bytes(), None)
     except OSError as error:
         raise BadAuthority(

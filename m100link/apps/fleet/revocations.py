@@ -142,6 +142,14 @@ def _read(line: bytes) -> tuple[int, dict[str, str]]:
 # -- the list in force, and how a newer one comes ------------------------------------------------
 
 
+def read_certificate(data: bytes) -> x509.Certificate:
+    """The certificate in a PEM file. Raises ValueError: there is none."""
+    try:
+        return x509.load_pem_x509_certificate(data)
+    except x509.InvalidVersion as error:
+        raise ValueError(str(error)) from error
+
+
 class Revocations:
     """The list in force."""
 
@@ -170,7 +178,7 @@ class Revocations:
         """
         place = folder / AUTHORITY
         try:
-            authority = x509.load_pem_x509_certificate(place.read_bytes())
+            authority = read_certificate(place.read_bytes())
         except OSError as error:
             raise UsageError(
                 f"{place} cannot be read: {error.strerror}",

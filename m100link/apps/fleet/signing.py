@@ -34,7 +34,7 @@ from m100link.apps.fleet.asking import Sign
 from m100link.apps.fleet.identity import Gate, Rights, Signer, Since, nobody
 from m100link.apps.fleet.keys import name_in
 from m100link.apps.fleet.payloads import VERSION, OrderMessage
-from m100link.apps.fleet.revocations import Revocations
+from m100link.apps.fleet.revocations import Revocations, read_certificate
 from m100link.errors import UsageError
 from m100link.link.keyfile import read_key
 
@@ -94,7 +94,7 @@ def tls_options(folder: Path, name: str, *, listens: bool = False) -> dict[str, 
 def _warn_of_end(certificate: Path, name: str) -> None:
     """A router that refuses it does not say why, and a program may run for days."""
     try:
-        ends = x509.load_pem_x509_certificate(certificate.read_bytes()).not_valid_after_utc
+        ends = read_certificate(certificate.read_bytes()).not_valid_after_utc
     except (OSError, ValueError):
         return  # zenoh says so
     left = ends - datetime.now(UTC)
@@ -154,7 +154,7 @@ class Seal:
         Raises UsageError: one of them is missing, or is none.
         """
         try:
-            certificate = x509.load_pem_x509_certificate((folder / f"{name}.pem").read_bytes())
+            certificate = read_certificate((folder / f"{name}.pem").read_bytes())
             key = load_pem_private_key((folder / f"{name}.key").read_bytes(), None)
         except (OSError, ValueError, TypeError) as error:
             raise UsageError(
@@ -443,7 +443,7 @@ def _issued(
         found.verify_directly_issued_by(authority)
         key = found.public_key()
         names = [one.value for one in found.subject.get_attributes_for_oid(NameOID.COMMON_NAME)]
-    except (InvalidSignature, UnsupportedAlgorithm, ValueError, TypeError):
+    except (InvalidSignature, UnsupportedAlgorithm, x509.InvalidVersion, ValueError, TypeError):
         return None
     is_one = names == [name] and isinstance(key, ec.EllipticCurvePublicKey)
     return key if is_one and isinstance(key, ec.EllipticCurvePublicKey) else None

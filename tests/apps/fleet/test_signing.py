@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import uuid
 from dataclasses import replace
@@ -11,6 +12,8 @@ from pathlib import Path
 
 import anyio
 import pytest
+from cryptography import x509
+from cryptography.hazmat.primitives.serialization import Encoding
 
 from m100link.apps.agent import orders
 from m100link.apps.fleet.asking import Sign
@@ -27,7 +30,8 @@ from m100link.apps.fleet.payloads import (
     unpack,
 )
 from m100link.apps.fleet.pki import Kind, init, issue
-from m100link.apps.fleet.signing import read_signer, signing, tls_options, verifying
+from m100link.apps.fleet.revocations import read_certificate
+from m100link.apps.fleet.signing import _issued, read_signer, signing, tls_options, verifying
 from m100link.errors import NotAllowed, UsageError
 from tests.apps.fleet.conftest import SITE, UTC, Rig
 
@@ -254,4 +258,21 @@ def test_a_certificate_that_ends_soon_is_named_before_it_lets_nobody_in(
     tls_options(tmp_path, "a1")
     assert said in caplog.text
     assert (f"the certificate of a1 {said}" in caplog.text) is bool(said)
-    assert ("fleet pki issue … a1 --force" in caplog.text) is bool(said)
+    assert ("renew it by m100link fleet make" in caplog.text) is bool(said)
+
+
+def test_a_certificate_of_a_version_that_is_none_belongs_to_nobody(tmp_path: Path) -> None:
+    """The byte of its version, of DER: [0] EXPLICIT INTEGER, which cryptography refuses apart."""
+    now = datetime.now(ZULU)
+    init(tmp_path, now=now)
+    authority = x509.load_pem_x509_certificate((tmp_path / "ca.pem").read_bytes())
+    made = x509.load_pem_x509_certificate(
+        issue(tmp_path, Kind.AGENT, "a1", now=now).certificate.read_bytes()
+    )
+    data = made.public_bytes(Encoding.DER)
+    broken = data.replace(bytes.fromhex("a003020102"), bytes.fromhex("a003020122"), 1)
+    assert _issued("a1", data, authority) is not None
+    assert _issued("a1", broken, authority) is None
+    pem = b"-----BEGIN CERTIFICATE-----\n%s\n-----END CERTIFICATE-----\n" % base64.b64encode(broken)
+    with pytest.raises(ValueError, match="version"):
+        read_certificate(pem)
