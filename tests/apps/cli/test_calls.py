@@ -14,7 +14,7 @@ from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
@@ -103,6 +103,8 @@ def aircraft_of(notes: Notes) -> Any:
     async def activate(credentials: Any, **how: object) -> Any:
         notes.note("activate", credentials.app_id, level=credentials.level, **how)
         assert credentials.key.reveal().hex() == KEY
+        if (progress := cast(Any, how.get("progress"))) is not None:
+            progress(SimpleNamespace(attempt=3, next_attempt_in=None))
         return SimpleNamespace(name="the version")
 
     return SimpleNamespace(
@@ -207,7 +209,7 @@ MOVES = [
         "resumed: waypoint mission; it flies on by itself",
     ),
     ("mission download", ["download_waypoint_plan()"], json.loads(short_plan().to_json())),
-    ("activate --wait 12", ["timeout"], {"activated": True, "app_id": 7, "attempts": 0}),
+    ("activate --wait 12", ["timeout"], {"activated": True, "app_id": 7, "attempts": 3}),
 ]
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import errno
 import json
+import math
 import re
 import signal
 import subprocess
@@ -19,7 +20,6 @@ from m100link.apps.cli.terminal import ExitCode
 from m100link.errors import LinkError, LinkLost, UsageError
 from m100link.log import read, recorder
 from m100link.log.channels import COMMAND, EVENT
-from m100link.protocol.records import Position
 from m100link.sim.vehicle.activation import DEMO_KEY
 from tests.apps.cli.conftest import ROOT, CommandLine
 from tests.log.test_share import written
@@ -68,9 +68,11 @@ def test_its_telemetry_is_a_table(cli: CommandLine, flight: Path, tmp_path: Path
     rows = list(csv.DictReader(out.splitlines()))
     assert len(rows) > 20
     assert float(rows[0]["position.latitude_deg"]) == pytest.approx(22.5431, abs=1e-6)
-    there = next(one for sample in read(flight).samples() if (one := sample.get(Position)))
-    shown = [float(rows[0][f"position.{one}_deg"]) for one in ("latitude", "longitude")]
-    assert shown == pytest.approx([there.latitude_deg, there.longitude_deg], abs=1e-9)
+    whole = csv.DictReader(cli("log", "csv", str(flight)).out.splitlines())
+    shown = [float(one) for row in whole for one in row.values() if one]
+    values = [one for row in read(flight).table().rows for one in row if not math.isnan(one)]
+    assert shown == pytest.approx(values, abs=1e-9, rel=0.0)
+    assert any(abs(one - round(one, 7)) > 1e-8 for one in values), "so many digits"
     table = tmp_path / "table.csv"
     assert cli("log", "csv", str(flight), "position", "-o", str(table)).status == ExitCode.OK
     assert table.read_text(encoding="utf-8") == out

@@ -513,3 +513,231 @@ async def test_whatever_a_hop_does_the_page_says_what_is_so(seed: int) -> None:
             await world.chance.choice([world.fly, world.go])()
     assert world.lies == [], f"seed {seed}"
     assert world.shown[Fate.FLOWN] > 50
+
+
+# -- one thing after the other, and when it is shown --------------------------------------------
+# What a draw allows for, 300 ms and slow ways, hides mistakes. Here each way takes 10 ms.
+
+LOOKS_S = 0.04
+"""Between two looks at the page: a beat and both ways take as long."""
+
+
+class Scene:
+    """One thing happens on a page with fast ways, and each change that its operator then sees."""
+
+    def __init__(self, world: World) -> None:
+        self.world, self._before = world, dict[str, Any]()
+        self._wrong: list[str] = []
+
+    @classmethod
+    @asynccontextmanager
+    async def begun(cls, *, is_ready: bool = True) -> AsyncIterator[Scene]:
+        world = World(1)
+        async with world.running():
+            for one in world.hops.values():
+                one.usual_s = one.delay_s = 0.01
+            if is_ready:
+                await world.ready()
+            scene = cls(world)
+            scene._before = scene._look()
+            yield scene
+        assert not scene._wrong, "\n".join(scene._wrong)
+
+    def _look(self) -> dict[str, Any]:
+        view, shown = self.world._look(), self.world.page.shown
+        seen = {"pad": shown.get("pad") or "", "told": shown.get("unanswered") or ""}
+        return seen | {"cause": view.cause, "target": view.target, "problem": view.has_problem}
+
+    async def shows(self, seconds: float, /, **wanted: list[tuple[Any, float, float]]) -> None:
+        """Each change of these within so many seconds: to what, and between which times, s."""
+        began, seen = anyio.current_time(), dict[str, list[tuple[Any, float]]]()
+        while (at := anyio.current_time() - began) < seconds:
+            look = self._look()
+            for what, value in look.items():
+                if value != self._before[what]:
+                    seen.setdefault(what, []).append((value, at))
+            self._before = look
+            await anyio.sleep(LOOKS_S)
+        for what, changes in wanted.items():
+            came = seen.get(what, [])
+            is_so = [value for value, _ in came] == [value for value, *_ in changes] and all(
+                first <= at <= last + 2 * LOOKS_S
+                for (_, at), (_, first, last) in zip(came, changes, strict=True)
+            )
+            if not is_so:
+                self._wrong.append(f"{what}: {came}, wanted {changes}")
+
+    def key(self, what: str, code: str = "KeyW") -> None:
+        self.world.is_holding = what == "down"
+        self.world.do((what, code))
+
+    def way(self, name: str, **how: Any) -> None:
+        for what, value in how.items():
+            setattr(self.world.hops[name], what, value)
+
+    async def is_flown(self) -> None:
+        """Hold W anew, until it is flown."""
+        self.key("up")
+        await self.world.ready()
+        self.key("down")
+        await self.shows(1.5)
+        if self._before["pad"] != Fate.FLOWN:
+            self._wrong.append(f"a held key: {self._before}")
+
+    def flies(self, north: float, name: str = "go") -> None:
+        self.world.order(name, orders.FlyTo(*self.world.place(north), height=5.0))
+
+
+SEEN = [(Fate.SENT, 0.0, 0.0), (Fate.ACCEPTED, 0.05, 0.25), (Fate.FLOWN, 0.3, 0.8)]
+"""A key: an agent reports ten times a second, and 0.15 m/s of 0.5 are enough."""
+
+
+async def test_a_key_is_green_while_it_is_flown_and_not_longer() -> None:
+    async with Scene.begun() as scene:
+        scene.key("down")
+        await scene.shows(1.5, pad=SEEN, problem=[], cause=[], told=[])
+        scene.key("up")
+        await scene.shows(0.4, pad=[("", 0.0, 0.0)])
+        scene.way("page to station", drops=True)
+        scene.key("down")
+        await scene.shows(1.0, pad=[(Fate.SENT, 0.0, 0.0), (Fate.OLD, 0.7, 0.75)])
+        scene.way("page to station", drops=False)
+        # A press of which the agent knows nothing: what goes out is that of the one before.
+        await scene.is_flown()
+        scene.way("station to agent", is_stalled=True)
+        await scene.shows(0.16)
+        scene.key("up")
+        await scene.shows(0.04)
+        scene.key("down")
+        await scene.shows(0.25, pad=[(Fate.SENT, 0.0, 0.0)])
+        scene.way("station to agent", is_stalled=False)
+        scene.key("up")
+        # It still moves so, and what the page heard of the press before says nothing of this one.
+        scene.way("station to page", delay_s=0.25)
+        await scene.shows(0.5)
+        scene.key("down")
+        await scene.shows(1.5)
+        scene.key("up")
+        await scene.shows(0.04)
+        scene.key("down")
+        late = [(Fate.SENT, 0.0, 0.04), (Fate.FLOWN, 0.25, 0.5)]
+        await scene.shows(1.5, pad=late)
+        # The other way round: it moves, but against what is held.
+        scene.way("station to page", delay_s=0.01)
+        scene.key("up")
+        scene.key("down", "KeyS")
+        await scene.shows(2.0)
+        scene.key("up", "KeyS")
+        scene.key("down")
+        await scene.shows(1.5, pad=[SEEN[0], SEEN[1], (Fate.FLOWN, 0.5, 1.2)])
+
+
+async def test_where_news_stay_out_the_pad_is_old_in_a_third_of_a_second() -> None:
+    async with Scene.begun() as scene:
+        for name in ("station to page", "agent to station"):
+            await scene.is_flown()
+            scene.way(name, drops=True)
+            told = Cause.AIRCRAFT_SILENT if name == "agent to station" else None
+            await scene.shows(
+                1.3, pad=[(Fate.OLD, 0.25, 0.4)], cause=[(told, 0.9, 1.1)] * bool(told)
+            )
+            scene.way(name, drops=False)
+            await scene.shows(0.5)
+        await scene.is_flown()
+        scene.key("down", "KeyS")  # so it is held where it is, which no telemetry has to show
+        await scene.shows(1.0, pad=[(Fate.ACCEPTED, 0.0, 0.5)])
+        scene.way("agent to station", drops=True)
+        await scene.shows(0.9, pad=[(Fate.OLD, 0.25, 0.4)])
+        scene.way("agent to station", drops=False)
+        scene.key("up", "KeyS")
+        await scene.is_flown()
+        scene.world.rig.aircraft.line.stall(to_aircraft=False)
+        await scene.shows(0.9, pad=[(Fate.OLD, 0.25, 0.4)])
+
+
+async def test_what_the_aircraft_does_not_follow_is_no_longer_green() -> None:
+    async with Scene.begun() as scene:
+        await scene.is_flown()
+        scene.world.rig.aircraft.line.stall(to_host=False)  # it brakes after half a second
+        await scene.shows(2.0, pad=[(Fate.ACCEPTED, 0.5, 1.7)])
+        await scene.shows(3.0, pad=[(Fate.IGNORED, 2.3, 2.8)])
+        scene.world.rig.aircraft.line.stall(to_aircraft=False, to_host=False)
+        await scene.shows(1.0, pad=[(Fate.FLOWN, 0.2, 0.8)])
+
+
+async def test_whoever_else_flies_is_named_and_a_held_key_flies_no_more() -> None:
+    async with Scene.begun(is_ready=False) as scene:
+        rig = scene.world.rig
+        await scene.shows(1.0)  # a page that was just loaded takes no key
+        scene.key("down")
+        await scene.shows(0.4, pad=[(Fate.SENT, 0.0, 0.0), (Fate.NO_CONTROL, 0.02, 0.1)])
+        await scene.is_flown()
+        rig.aircraft.leave_f()
+        await scene.shows(0.6, pad=[(Fate.PILOT, 0.05, 0.2)], cause=[(Cause.SWITCH, 0.0, 0.1)])
+        rig.aircraft.return_to_f()
+        again = [(Fate.LET_GO, 0.05, 0.2)]
+        await scene.shows(0.6, pad=again, cause=[(Cause.YOURS, 0.0, 0.1)])
+        await scene.is_flown()
+        await rig.agent.stop()
+        await scene.shows(0.6, pad=again, problem=[(True, 0.0, 0.1)])
+        await scene.is_flown()
+        leases, now = rig.agent.leases, rig.agent.now
+        lease = leases.confirm(leases.ask_take_over("other", now).token, now)
+        other = [(Fate.OTHER, 0.02, 0.2)]
+        await scene.shows(0.6, pad=other, cause=[(Cause.OTHER, 0.0, 0.1)])
+        leases.release(lease.token, rig.agent.now)
+        free = [(Fate.NO_CONTROL, 0.02, 0.2)]
+        await scene.shows(0.6, pad=free, cause=[(Cause.FREE, 0.0, 0.1)])
+
+
+async def test_a_target_is_what_becomes_of_its_flight_and_goes_ten_seconds_after() -> None:
+    begins = [(Life.SENT, 0.0, 0.02), (Life.ACCEPTED, 0.06, 0.15), (Life.FLOWN, 0.5, 1.2)]
+    async with Scene.begun() as scene:
+        scene.way("agent to station", delay_s=0.05)
+        scene.flies(3.0)
+        await scene.shows(7.0, target=[*begins, (Life.DONE, 2.0, 6.0)], problem=[])
+        refused = [(Life.SENT, 0.0, 0.02), (Life.REFUSED, 0.06, 0.15)]
+        scene.flies(9000.0)
+        await scene.shows(11.0, target=[*refused, (None, 9.9, 10.2)], problem=[(True, 0.02, 0.1)])
+        scene.flies(60.0)
+        await scene.shows(1.5, target=begins, problem=[(False, 0.0, 0.1)])
+        scene.world.rig.aircraft.leave_f()
+        await scene.shows(1.0, target=[(Life.ENDED, 0.0, 0.3)], problem=[])
+        scene.world.rig.aircraft.return_to_f()
+        await scene.world.ready()
+        scene.flies(60.0)
+        await scene.shows(1.5)
+        scene.way("agent to station", drops=True)  # and so the outcome of the flight is lost
+        await scene.world.rig.agent.stop()
+        await scene.shows(0.8)
+        scene.way("agent to station", drops=False)
+        await scene.shows(1.5, target=[(Life.FLOWN, 0.0, 0.1), (Life.SENT, 0.5, 0.8)])
+
+
+async def test_a_press_is_told_after_three_seconds_without_its_own_answer() -> None:
+    async with Scene.begun() as scene:
+        world = scene.world
+        scene.way("page to station", drops=True)
+        world.order("lost", orders.Activate())
+        world.order("stop")
+        await scene.shows(1.0, told=[])
+        scene.way("page to station", drops=False)
+        world.order("heard", orders.Activate())  # which answers nothing but itself
+        await scene.shows(3.0, told=[("lost 0, stop 1", 1.96, 2.04)])
+        world.do(("seen", None))
+        await scene.shows(0.1, told=[("", 0.0, 0.0)])
+        scene.way("station to page", is_stalled=True)
+        await scene.shows(1.3)
+        world.order("at once", orders.Activate())  # to a station that is not heard
+        await scene.shows(0.3, told=[("at once 3", 0.0, 0.04)])
+        scene.way("station to page", is_stalled=False)
+        await scene.shows(0.3, told=[("", 0.0, 0.06)])
+        scene.way("page to station", drops=True)
+        world.order("gone", orders.Activate())
+        await scene.shows(0.1)
+        scene.way("page to station", drops=False)
+        world.load_anew()
+        await scene.shows(0.2, told=[("gone 4", 0.0, 0.0)])
+        world.do(("seen", None))
+        world.load_anew()  # what somebody has seen is over
+        await scene.shows(0.2, told=[("", 0.0, 0.0)])

@@ -10,12 +10,14 @@ import base64
 import math
 import struct
 from typing import Any
+from unittest.mock import MagicMock
 
 import anyio
 import pytest
 
 from m100link.apps.agent import orders
 from m100link.apps.agent.messages import JournalNote, MobileMessage, Steer
+from m100link.apps.station.ros import node_2016
 from m100link.apps.station.ros.node_2016 import TOPICS, local_of, percent, place_of
 from m100link.protocol.firmware import FIRMWARE_3_1
 from m100link.protocol.records import Attitude, Battery, Position, Time, Velocity
@@ -432,3 +434,22 @@ async def test_a_program_of_2016_activates_obtains_takes_off_and_flies(rig: Rig)
 
 def test_every_topic_of_a_package_is_in_the_table() -> None:
     assert TOPICS.keys() <= {name for name, _ in PUBLISHED}
+
+
+def test_each_action_flies_what_its_name_says(monkeypatch: pytest.MonkeyPatch) -> None:
+    served: dict[str, str] = {}
+
+    def action(
+        agent: object, graph: object, clients: object, name: str, kind: str, do: Any
+    ) -> None:
+        served[name.removeprefix("/dji_sdk/").removesuffix("_action")] = f"{kind} {do.__name__}"
+
+    monkeypatch.setattr(node_2016, "ActionServer", action)
+    monkeypatch.setattr(node_2016, "WebGroundStation", lambda *_: None)
+    node_2016.Node2016(MagicMock(), MagicMock(), MagicMock())
+    assert served == {
+        "drone_task": "dji_sdk/DroneTask _do_task",
+        "local_position_navigation": "dji_sdk/LocalPositionNavigation _go_local",
+        "global_position_navigation": "dji_sdk/GlobalPositionNavigation _go_global",
+        "waypoint_navigation": "dji_sdk/WaypointNavigation _go_waypoints",
+    }
