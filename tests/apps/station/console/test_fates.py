@@ -592,6 +592,7 @@ SEEN = [(Fate.SENT, 0.0, 0.0), (Fate.ACCEPTED, 0.05, 0.25), (Fate.FLOWN, 0.3, 0.
 """A key: an agent reports ten times a second, and 0.15 m/s of 0.5 are enough."""
 
 
+@pytest.mark.slow
 async def test_a_key_is_green_while_it_is_flown_and_not_longer() -> None:
     async with Scene.begun() as scene:
         scene.key("down")
@@ -632,6 +633,7 @@ async def test_a_key_is_green_while_it_is_flown_and_not_longer() -> None:
         await scene.shows(1.5, pad=[SEEN[0], SEEN[1], (Fate.FLOWN, 0.5, 1.2)])
 
 
+@pytest.mark.slow
 async def test_where_news_stay_out_the_pad_is_old_in_a_third_of_a_second() -> None:
     async with Scene.begun() as scene:
         for name in ("station to page", "agent to station"):
@@ -655,6 +657,7 @@ async def test_where_news_stay_out_the_pad_is_old_in_a_third_of_a_second() -> No
         await scene.shows(0.9, pad=[(Fate.OLD, 0.25, 0.4)])
 
 
+@pytest.mark.slow
 async def test_what_the_aircraft_does_not_follow_is_no_longer_green() -> None:
     async with Scene.begun() as scene:
         await scene.is_flown()
@@ -665,6 +668,7 @@ async def test_what_the_aircraft_does_not_follow_is_no_longer_green() -> None:
         await scene.shows(1.0, pad=[(Fate.FLOWN, 0.2, 0.8)])
 
 
+@pytest.mark.slow
 async def test_whoever_else_flies_is_named_and_a_held_key_flies_no_more() -> None:
     async with Scene.begun(is_ready=False) as scene:
         rig = scene.world.rig
@@ -690,6 +694,7 @@ async def test_whoever_else_flies_is_named_and_a_held_key_flies_no_more() -> Non
         await scene.shows(0.6, pad=free, cause=[(Cause.FREE, 0.0, 0.1)])
 
 
+@pytest.mark.slow
 async def test_a_target_is_what_becomes_of_its_flight_and_goes_ten_seconds_after() -> None:
     begins = [(Life.SENT, 0.0, 0.02), (Life.ACCEPTED, 0.06, 0.15), (Life.FLOWN, 0.5, 1.2)]
     async with Scene.begun() as scene:
@@ -714,6 +719,7 @@ async def test_a_target_is_what_becomes_of_its_flight_and_goes_ten_seconds_after
         await scene.shows(1.5, target=[(Life.FLOWN, 0.0, 0.1), (Life.SENT, 0.5, 0.8)])
 
 
+@pytest.mark.slow
 async def test_a_press_is_told_after_three_seconds_without_its_own_answer() -> None:
     async with Scene.begun() as scene:
         world = scene.world
