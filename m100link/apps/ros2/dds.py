@@ -36,15 +36,19 @@ _PROFILES = """<profiles xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Prof
 <participant profile_name="m100link" is_default_profile="true"><rtps><builtin><discovery_config>
 <leaseDuration><sec>3</sec></leaseDuration><leaseAnnouncement><sec>1</sec></leaseAnnouncement>
 </discovery_config></builtin></rtps></participant>
-<data_writer profile_name="m100link" is_default_profile="true"><times><heartbeatPeriod>
-<nanosec>200000000</nanosec></heartbeatPeriod></times></data_writer></profiles>"""
+<data_writer profile_name="m100link" is_default_profile="true"><times><{period}>
+<nanosec>200000000</nanosec></{period}></times></data_writer></profiles>"""
 """Of Fast DDS, where its defaults are too slow for a flight.
 
 Others know for 20 s of a node that was killed, and it asks its listeners every 3 s whether they
 have everything.
 """
 
-_PROFILES_BY = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
+_PERIOD = {
+    "FASTRTPS_DEFAULT_PROFILES_FILE": "heartbeatPeriod",  # Fast DDS 2: Jazzy
+    "FASTDDS_DEFAULT_PROFILES_FILE": "heartbeat_period",  # Fast DDS 3: Kilted
+}
+"""The name of a setting in the profiles, by the variable that names their file."""
 
 
 class _Allocator(ctypes.Structure):
@@ -118,8 +122,16 @@ class DdsBus:
 
     session = "0"  # of this process, in the tokens that stand for the graph
 
-    def __init__(self, rclpy: Any, context: Any, domain: int, largest: int) -> None:
-        self._rclpy, self._context = rclpy, context
+    def __init__(
+        self,
+        rclpy: Any,
+        context: Any,
+        domain: int,
+        largest: int,
+        *,
+        hears_acks: bool,  # whether listeners that run acknowledge at once, and not after seconds
+    ) -> None:
+        self._rclpy, self._context, self._hears_acks = rclpy, context, hears_acks
         self._domain, self._largest = domain, largest
         self._nodes: dict[str, Any] = {}  # by their full names
         self._ends: dict[str, Any] = {}  # what was declared last, by topic or service
@@ -302,11 +314,16 @@ class DdsBus:
         """Whether each listener to the feedback of goals has all of it.
 
         DDS misses a program that was killed after 10 to 20 s, by the leases of Cyclone and Fast
-        DDS. Until then that program acknowledges nothing.
+        DDS. Until then that program acknowledges nothing. Nobody answers where a program that runs
+        would take seconds for it, too: then the lease decides.
         """
-        now = self._rclpy.duration.Duration()
-        ends = self._feedback
-        return _Polled(lambda: [True] if all(one.wait_for_all_acked(now) for one in ends) else [])
+        now, ends = self._rclpy.duration.Duration(), self._feedback
+
+        def take() -> list[bool]:
+            is_there = self._hears_acks and all(one.wait_for_all_acked(now) for one in ends)
+            return [True] if is_there else []
+
+        return _Polled(take)
 
 
 def _nothing(*_: object) -> None:
@@ -314,19 +331,20 @@ def _nothing(*_: object) -> None:
 
 
 @contextmanager
-def _asking_often() -> Iterator[None]:
-    """Have Fast DDS read :data:`_PROFILES`, unless the user has profiles."""
-    if any(os.environ.get(name) for name in _PROFILES_BY):
-        yield
+def _asking_often() -> Iterator[bool]:
+    """Have Fast DDS read :data:`_PROFILES`; false where the user has profiles, which stay."""
+    if any(os.environ.get(name) for name in _PERIOD):
+        yield False
         return
     with TemporaryDirectory(prefix="m100link-dds-") as folder:
-        path = Path(folder, "profiles.xml")
-        path.write_text(_PROFILES, encoding="utf-8")
-        os.environ |= dict.fromkeys(_PROFILES_BY, str(path))
+        for name, period in _PERIOD.items():
+            path = Path(folder, f"{period}.xml")
+            path.write_text(_PROFILES.format(period=period), encoding="utf-8")
+            os.environ[name] = str(path)
         try:
-            yield
+            yield True
         finally:
-            for name in _PROFILES_BY:
+            for name in _PERIOD:
                 del os.environ[name]
 
 
@@ -343,11 +361,11 @@ async def open_dds(domain: int, largest: int) -> AsyncIterator[DdsBus]:
     """A bus on DDS while the block runs. Raises UsageError: rclpy is missing, or cannot begin."""
     try:
         rclpy: Any = import_module("rclpy")
-        for part in ("duration", "parameter", "qos", "serialization", "signals"):
+        for part in ("duration", "parameter", "qos", "serialization", "signals", "utilities"):
             import_module(f"rclpy.{part}")
     except ImportError as error:
         raise no_rclpy(str(error)) from error
-    with _asking_often():
+    with _asking_often() as is_fast:
         context = rclpy.context.Context()
         handlers = rclpy.signals.SignalHandlerOptions.NO
         try:
@@ -356,6 +374,8 @@ async def open_dds(domain: int, largest: int) -> AsyncIterator[DdsBus]:
             remedy = "check RMW_IMPLEMENTATION, and the variables of that middleware"
             raise UsageError(f"rclpy cannot begin: {error}", remedy=remedy) from error
         try:
-            yield DdsBus(rclpy, context, domain, largest)
+            middleware = rclpy.utilities.get_rmw_implementation_identifier()
+            acks = is_fast and middleware.startswith("rmw_fastrtps")
+            yield DdsBus(rclpy, context, domain, largest, hears_acks=acks)
         finally:
             rclpy.shutdown(context=context)

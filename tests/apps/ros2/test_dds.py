@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
+from xml.etree import ElementTree
 
 import pytest
 
@@ -32,6 +33,7 @@ NAME = NodeName(7, "0", "/", "m100")
 CMD_VEL, SEND = "/m100/cmd_vel", "/m100/fly_to/_action/send_goal"
 FEEDBACK = "/m100/fly_to/_action/feedback"
 LARGEST = 1000
+FAST_DDS_2, FAST_DDS_3 = "FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"
 
 
 class End:
@@ -106,7 +108,7 @@ class Rclpy:
         self.nodes: list[Node] = []
         self.waiting: dict[int, deque[tuple[bytes, int, int, bytes]]] = {}
         self.up: list[Any] = []
-        self.refuses = ""
+        self.refuses, self.middleware = "", "rmw_fastrtps_cpp"
         self.fields = ["goal_id", "goal"]
         self.monkeypatch = monkeypatch
         self.module = SimpleNamespace(
@@ -116,6 +118,7 @@ class Rclpy:
             shutdown=lambda context: self.up.remove(context),
             create_node=self.create_node,
             duration=SimpleNamespace(Duration=lambda: 0),
+            utilities=SimpleNamespace(get_rmw_implementation_identifier=lambda: self.middleware),
             parameter=SimpleNamespace(Parameter=lambda name, value: (name, value)),
             serialization=SimpleNamespace(
                 serialize_message=lambda message: message.payload,
@@ -131,7 +134,7 @@ class Rclpy:
         monkeypatch.setattr(ctypes, "CDLL", lambda _: self)
         self.rcl_take_serialized_message: Any = lambda *what: self.taken(*what)
         self.rcutils_get_default_allocator: Any = lambda: dds._Allocator()
-        for name in dds._PROFILES_BY:
+        for name in dds._PERIOD:
             monkeypatch.delenv(name, raising=False)
 
     def imported(self, name: str) -> Any:
@@ -143,7 +146,8 @@ class Rclpy:
 
     def init(self, *, context: Any, domain_id: int, signal_handler_options: str, args: Any) -> None:
         assert (domain_id, signal_handler_options, args) == (7, "no", [])
-        self.profiles = Path(os.environ[dds._PROFILES_BY[0]]).read_text(encoding="utf-8")
+        names = (one for one in (FAST_DDS_2, FAST_DDS_3) if one in os.environ)
+        self.profiles = [Path(os.environ[one]).read_text(encoding="utf-8") for one in names]
         if self.refuses:
             raise RuntimeError(self.refuses)
         self.up.append(context)
@@ -232,17 +236,20 @@ async def test_a_publisher_is_one_of_rclpy(rclpy: Rclpy) -> None:
         with pytest.raises(ValueError, match="no token"):
             bus.declare("anything")
     assert not rclpy.up
-    assert not set(dds._PROFILES_BY) & set(os.environ)
-    assert "<nanosec>200000000</nanosec>" in rclpy.profiles
-    assert "<leaseDuration><sec>3</sec></leaseDuration>" in rclpy.profiles
+    assert not set(dds._PERIOD) & set(os.environ)
+    # As their schemas name it: fastRTPS_profiles.xsd of 2.14, fastdds_profiles.xsd of 3.2.
+    for text, tag in zip(rclpy.profiles, ("heartbeatPeriod", "heartbeat_period"), strict=True):
+        [period] = ElementTree.fromstring(text).iterfind(f".//{{*}}{tag}/{{*}}nanosec")
+        assert period.text == "200000000"
+        assert "<leaseDuration><sec>3</sec></leaseDuration>" in text
 
 
 async def test_profiles_of_the_user_stay(rclpy: Rclpy, tmp_path: Path) -> None:
     mine = tmp_path / "mine.xml"
     mine.write_text("<profiles/>", encoding="utf-8")
-    rclpy.monkeypatch.setenv(dds._PROFILES_BY[0], str(mine))
+    rclpy.monkeypatch.setenv(FAST_DDS_2, str(mine))
     async with dds.open_dds(7, LARGEST):
-        assert rclpy.profiles == "<profiles/>"
+        assert rclpy.profiles == ["<profiles/>"]
 
 
 async def test_a_message_comes_with_its_sender(rclpy: Rclpy) -> None:
@@ -342,6 +349,17 @@ async def test_who_listens_to_feedback_and_takes_none_does_not_answer(rclpy: Rcl
         assert probe.take() == [True]
         rclpy.nodes[0].ends[FEEDBACK].is_acked = False
         assert probe.take() == []
+
+
+@pytest.mark.parametrize("slow", ["rmw_connextdds", "profiles of the user"])
+async def test_who_acknowledges_slowly_is_left_to_the_lease(rclpy: Rclpy, slow: str) -> None:
+    """Fast DDS asks for it every 3 s by default: a program that runs looked like one that hangs."""
+    if slow.startswith("rmw"):
+        rclpy.middleware = slow
+    else:
+        rclpy.monkeypatch.setenv(FAST_DDS_3, os.devnull)
+    async with dds.open_dds(7, LARGEST) as bus:
+        assert bus.probe("@/00/*", timeout=1.0).take() == []
 
 
 async def test_without_rclpy_the_error_names_how_to_get_it(
