@@ -88,15 +88,13 @@ class _Polled(Generic[T]):
     def __init__(self, take: Callable[[], list[T]]) -> None:
         self.take = take
 
-    @classmethod
-    def one_by_one(cls, take: Callable[[], T | None], depth: int) -> _Polled[T]:
-        def all_of_it() -> list[T]:
-            found: list[T] = []
-            while len(found) < depth and (one := take()) is not None:
-                found.append(one)
-            return found
 
-        return cls(all_of_it)
+def _some(take: Callable[[], T | None], depth: int) -> list[T]:
+    """So many at most of what is taken one by one."""
+    found: list[T] = []
+    while len(found) < depth and (one := take()) is not None:
+        found.append(one)
+    return found
 
 
 class _Outlet(Outlet):
@@ -156,26 +154,25 @@ class DdsBus:
         if seen.end is EntityKind.NODE:
             self._nodes[seen.node_name] = self._node(*seen.node_name.rpartition("/")[::2])
             return _Outlet()
-        *_, kind, _, qos = parts
+        *_, kind, _, text = parts
         kind = kind.replace("::dds_", "").replace("::", "/").removesuffix("_")
-        makers = {
-            EntityKind.PUBLISHER: self._publisher,
-            EntityKind.SUBSCRIBER: self._subscriber,
-            EntityKind.SERVER: self._server,
-        }
-        self._ends[seen.topic] = None
+        made, topic, qos = None, seen.topic, self._qos(text)
         try:
-            found = self._type(kind)
-            made = makers[seen.end](self._nodes[seen.node_name], found, seen.topic, qos)
+            node, found = self._nodes[seen.node_name], self._type(kind)
+            if seen.end is EntityKind.PUBLISHER:
+                made = node.create_publisher(found, topic, qos)
+            elif seen.end is EntityKind.SUBSCRIBER:
+                made = node.create_subscription(found, topic, _nothing, qos, raw=True)
+            else:
+                made = node.create_service(found, topic, _nothing)
         except Exception as error:  # noqa: BLE001 - rosidl's loaders raise classes of their own
-            _logger.debug("%s: %s is not built here: %r", seen.topic, kind, error)
-            self.missing.setdefault(kind.partition("/")[0], []).append(seen.topic)
-        else:
-            self._ends[seen.topic] = made
-            if seen.topic.endswith(_GOALS):
-                self._goals[seen.topic] = kind
-            if seen.topic.endswith(_FEEDBACK):
-                self._feedback.append(made)
+            _logger.debug("%s: %s is not built here: %r", topic, kind, error)
+            self.missing.setdefault(kind.partition("/")[0], []).append(topic)
+        self._ends[topic] = made
+        if made is not None and topic.endswith(_GOALS):
+            self._goals[topic] = kind
+        if made is not None and topic.endswith(_FEEDBACK):
+            self._feedback.append(made)
         return _Outlet()
 
     def _type(self, kind: str) -> Any:
@@ -218,15 +215,6 @@ class DdsBus:
             durability=latched if durability == "1" else qos.DurabilityPolicy.VOLATILE,
         )
 
-    def _publisher(self, node: Any, kind: Any, topic: str, qos: str) -> Any:
-        return node.create_publisher(kind, topic, self._qos(qos))
-
-    def _subscriber(self, node: Any, kind: Any, topic: str, qos: str) -> Any:
-        return node.create_subscription(kind, topic, _nothing, self._qos(qos), raw=True)
-
-    def _server(self, node: Any, kind: Any, topic: str, _: str) -> Any:
-        return node.create_service(kind, topic, _nothing)
-
     def _end(self, key: str) -> Any:
         """The end of a key, which is ``domain/topic/type/hash``."""
         return self._ends["/" + "/".join(key.split("/")[1:-2])]
@@ -238,7 +226,7 @@ class DdsBus:
 
     def inbox(self, pattern: str, depth: int) -> Inbox[Received]:
         end = self._end(pattern)
-        return _Polled.one_by_one(partial(self._received, end) if end else _nothing, depth)
+        return _Polled(partial(_some, partial(self._received, end) if end else _nothing, depth))
 
     def _received(self, end: Any) -> Received | None:
         """The oldest that waits. rclpy hides its sender; rcl, below it, does not."""
@@ -254,7 +242,9 @@ class DdsBus:
 
     def questions(self, key: str, depth: int) -> Inbox[Question]:
         end = self._end(key)
-        return _Polled.one_by_one(partial(self._question, end, key) if end else _nothing, depth)
+        return _Polled(
+            partial(_some, partial(self._question, end, key) if end else _nothing, depth)
+        )
 
     def _question(self, end: Any, key: str) -> Question | None:
         serialization, kind = self._rclpy.serialization, end.srv_type

@@ -24,8 +24,11 @@ from m100link.apps.ros2.graph import (
     read_attachment,
     read_token,
 )
+from m100link.apps.station.config import Settings
+from m100link.apps.station.ros2 import serving_ros2
 from m100link.errors import UsageError
 from m100link.log.cdr import encode
+from tests.apps.ros2.conftest import Rig
 
 pytestmark = pytest.mark.anyio
 
@@ -360,6 +363,17 @@ async def test_who_acknowledges_slowly_is_left_to_the_lease(rclpy: Rclpy, slow: 
         rclpy.monkeypatch.setenv(FAST_DDS_3, os.devnull)
     async with dds.open_dds(7, LARGEST) as bus:
         assert bus.probe("@/00/*", timeout=1.0).take() == []
+
+
+async def test_a_node_on_dds_names_what_it_leaves_out(rclpy: Rclpy, rig: Rig) -> None:
+    settings = Settings(ros2=True, ros2_rmw="dds", ros2_domain=7)
+    async with serving_ros2({"": rig.client}, settings) as [node]:
+        assert node.name.full == "/m100"
+        [made] = rclpy.nodes
+        assert {"/m100/odom", "/m100/cmd_vel", "/m100/land", "/diagnostics"} <= made.ends.keys()
+        texts = [one.text for one in rig.client.events]
+        assert "no /tf, /tf_static: tf2_msgs is not built here" in texts
+    assert not rclpy.up
 
 
 async def test_without_rclpy_the_error_names_how_to_get_it(

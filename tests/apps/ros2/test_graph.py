@@ -136,6 +136,18 @@ def test_topics_may_come_together() -> None:
     check_ros2(Settings(ros2=True, ros2_remap=("~/imu:=/imu", "~/odom:=/imu")), ["a", "b"])
 
 
+def test_a_middleware_is_one_of_two_and_dds_needs_rclpy(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(UsageError, match="no middleware 'cyclone'") as refusal:
+        check_ros2(Settings(ros2=True, ros2_rmw="cyclone"))
+    assert "zenoh or dds" in refusal.value.remedy
+    monkeypatch.setattr("m100link.apps.station.ros2.find_spec", lambda _: None)
+    with pytest.raises(UsageError, match="needs rclpy") as refusal:
+        check_ros2(Settings(ros2=True, ros2_rmw="dds"))
+    assert "pip install 'ros-jazzy-rclpy[fastrtps]'" in refusal.value.remedy
+    monkeypatch.setattr("m100link.apps.station.ros2.find_spec", lambda _: "there")
+    check_ros2(Settings(ros2=True, ros2_rmw="dds"))
+
+
 # -- tokens that come and go -----------------------------------------------------------------------
 
 
