@@ -96,7 +96,7 @@ EXIT_STATUS: dict[int, str] = {
     """,
     # nobody answers, or the line is gone
     4: """
-        LineBlocked LinkLost NoAircraft NoAnswer NoRouter NoValidFrame SilentLine
+        LineBlocked LinkLost NoAircraft NoAnswer NoValidFrame SilentLine
     """,
     # activation
     5: """
@@ -115,6 +115,10 @@ EXIT_STATUS: dict[int, str] = {
     # took too long
     8: """
         AckTimeout NotObserved TelemetryStalled
+    """,
+    # no router of zenoh answers
+    9: """
+        NoRouter
     """,
 }
 

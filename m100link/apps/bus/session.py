@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from m100link.apps.bus import network
-from m100link.errors import NoRouter, UsageError
+from m100link.errors import M100Error, NoRouter, PortBusy, UsageError
 from m100link.errors.texts import read_json
 from m100link.errors.usage import of_extra
 
@@ -469,15 +469,17 @@ def _config(opening: Opening) -> zenoh.Config:
     return config
 
 
-_NO_SESSION: dict[str, tuple[str, type[UsageError]]] = {
+_NO_SESSION: dict[str, tuple[str, type[M100Error]]] = {
     "client": ("no router answered", NoRouter),
     "router": ("no router can be here", UsageError),
 }
 
 
-def _refused(error: Exception, mode: str, opening: Opening) -> UsageError:
+def _refused(error: Exception, mode: str, opening: Opening) -> M100Error:
     # zenoh's text ends with the place in its source.
     seen = str(error).partition(" at /")[0].strip()
     what, kind = _NO_SESSION.get(mode, ("no session of zenoh", UsageError))
     remedy = opening.remedies.get(mode, opening.remedies.get("", ""))
+    if mode == "router" and "in use" in seen:
+        kind = PortBusy
     return kind(f"{what}: {seen}", remedy=remedy)

@@ -226,12 +226,13 @@ class ExitCode:
     AUTHORITY = 6
     REFUSED = 7
     TIMEOUT = 8
+    NO_ROUTER = 9
     INTERRUPTED = 130
 
 
 # The first class that fits decides, so subclasses stand before their bases.
 _EXIT_CODES: tuple[tuple[type[BaseException], int], ...] = (
-    (errors.NoRouter, ExitCode.NO_LINK),
+    (errors.NoRouter, ExitCode.NO_ROUTER),
     (errors.UsageError, ExitCode.USAGE),
     (errors.NoAircraft, ExitCode.NO_LINK),
     (errors.LinkLost, ExitCode.NO_LINK),

@@ -29,6 +29,7 @@ from m100link.apps.fleet.publisher import WALL_WITHIN_S
 from m100link.apps.fleet.revocations import Revocations
 from m100link.apps.fleet.signing import Seal, SealedBus
 from m100link.errors import GuardRefused, M100Error, OutcomeUnknown
+from m100link.errors.texts import read_json
 from m100link.log.folder import LogEntry
 
 _ANSWER_S = 1.5
@@ -418,10 +419,16 @@ would be those of an aircraft that hovers because the first of two computers is 
 def _remedies(connect: tuple[str, ...], options: Mapping[str, str]) -> dict[str, str]:
     """The remedy where no session can be, by the mode."""
     place = ", ".join(connect)
-    start = f"m100link fleet router --listen {place}, if none runs there"
-    if place.startswith("tls/") and not any("tls" in name for name in options):
-        start = f"give --identity: {place} wants a certificate"
-    return {"client": start, "router": "check where it listens, and that the port is free"}
+    start = f"m100link fleet router --listen {place}, if none runs there; a router with "
+    start += "certificates wants tls/… and --identity"
+    if place.startswith("tls/"):
+        start = (
+            "m100link fleet doctor FILE says whether it is the router, its port or a certificate"
+        )
+        if not any("tls" in name for name in options):
+            start = f"give --identity: {place} wants a certificate"
+    taken = ", ".join(read_json(options.get("listen/endpoints", "[]")))
+    return {"client": start, "router": f"end the program that has {taken}, or listen elsewhere"}
 
 
 @asynccontextmanager

@@ -170,7 +170,7 @@ def test_a_name_that_is_taken_ends_the_second_agent(site: Site) -> None:
 def test_without_a_router_it_is_said_what_to_do(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "m100link", "fleet", "list", "--connect", "tcp/127.0.0.1:9"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
-    assert done.returncode == 4
+    assert done.returncode == 9
     assert "no router answered" in done.stderr
     assert "m100link fleet router --listen tcp/127.0.0.1:9," in done.stderr
 

@@ -260,7 +260,7 @@ def test_somebody_new_brings_a_fleet_up_by_the_lines_of_the_page(tmp_path: Path)
         )
         begun[0].send_signal(signal.SIGINT)
         assert begun[0].wait(PATIENCE) == ExitCode.OK
-        assert site.ask("list")[0] == ExitCode.NO_LINK
+        assert site.ask("list")[0] == ExitCode.NO_ROUTER
     finally:
         for one in begun:
             one.kill()
@@ -310,7 +310,7 @@ def test_each_may_do_what_the_file_says_and_nobody_comes_without_a_certificate(
     assert secured_site.ask("mission", "stop", "a1", "--identity", "bert")[0] == ExitCode.OK
     status, [told] = secured_site.ask("land", "a1", "--identity", "bert")
     assert (status, told["outcome"]) == (ExitCode.OK, "ok")
-    assert secured_site.ask("list")[0] == ExitCode.NO_LINK
+    assert secured_site.ask("list")[0] == ExitCode.NO_ROUTER
 
 
 @pytest.mark.pty

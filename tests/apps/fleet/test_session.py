@@ -8,7 +8,7 @@ import anyio
 import pytest
 
 from m100link.apps.fleet.client import open_fleet
-from m100link.errors import NoRouter, UsageError
+from m100link.errors import NoRouter, PortBusy, UsageError
 from tests.apps.bus.pair import free_place, until
 
 pytest.importorskip("zenoh", reason="the extra fleet is not installed")
@@ -26,6 +26,7 @@ async def test_no_router_is_reported_with_a_remedy() -> None:
         async with open_fleet("client", connect=(free_place(),)):
             pass
     assert "fleet router" in caught.value.remedy
+    assert "--identity" in caught.value.remedy
     place = free_place().replace("tcp/", "tls/")
     with pytest.raises(NoRouter, match="no router answered") as caught:
         async with open_fleet("client", connect=(place,)):
@@ -37,9 +38,10 @@ async def test_no_router_is_reported_with_a_remedy() -> None:
 async def test_a_port_that_is_taken_and_an_option_that_cannot_be() -> None:
     place = free_place()
     async with open_fleet("router", listen=(place,)):
-        with pytest.raises(UsageError, match="no router can be here"):
+        with pytest.raises(PortBusy, match="no router can be here") as caught:
             async with open_fleet("router", listen=(place,)):
                 pass
+        assert place in caught.value.remedy
     with pytest.raises(UsageError, match="cannot be in a session"):
         async with open_fleet("router", options={"mode": '"captain"'}):
             pass
