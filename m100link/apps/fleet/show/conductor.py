@@ -211,6 +211,7 @@ class Conductor:
                     why=Why.PLACE,
                     measured=took,
                     limit=_PLACING_S,
+                    remedy=f"m100link fleet list shows {track.name}; mend that, and begin again",
                 )
             await asyncio.sleep(_LOOK_S)
 
@@ -228,6 +229,7 @@ class Conductor:
                 why=Why.CLOCK,
                 measured=bound,
                 limit=SKEW_S,
+                remedy="conduct from a computer with a quicker link to it",
             )
         start = payloads.StartShow(self._run, track.digest, start_at + found.seconds, found.bound)
         await self._do(track, start, payloads.ShowStage.FLYING)

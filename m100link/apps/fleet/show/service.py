@@ -102,7 +102,8 @@ class ShowService:
         """Leave the show of a revoked signer: the aircraft hovers."""
         since = self._placed_by and revoked(self._placed_by)
         if since:
-            self.performer.give_way(NotAllowed(f"{self._placed_by} is revoked since {since}"))
+            seen, remedy = f"{self._placed_by} is revoked since {since}", "conduct as somebody else"
+            self.performer.give_way(NotAllowed(seen, remedy=remedy))
 
     def _on_place(self, key: str, payload: bytes) -> None:
         if self.performer.neighbours is None or payload[:1] != bytes([payloads.VERSION]):
@@ -115,8 +116,7 @@ class ShowService:
             self._hear(ahead)
 
     def _hear(self, ahead: ConflictMonitor) -> None:
-        if self.performer.neighbours is not None:
-            self.performer.neighbours.hear(ahead, self._client.now)
+        self.performer.hear(ahead)
 
     def _on_order(self, question: Question) -> None:
         if len(question.payload) > _MOST_ORDER:

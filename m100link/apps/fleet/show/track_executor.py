@@ -12,6 +12,7 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Awaitable, Callable
+from dataclasses import replace
 from functools import partial
 from typing import Literal
 
@@ -107,7 +108,8 @@ class TrackExecutor:
         if event.topic in (EventTopic.STOPPED, EventTopic.HALTED):
             # An order to take off may be on its way here, of somebody who has not seen it.
             self.ages.revoke(self._client.now)
-            self.give_way(NoAuthority(f"{self._name} was stopped: {event.text}"))
+            begins = "begin the show again when all of them hover or stand"
+            self.give_way(NoAuthority(f"{self._name} was stopped: {event.text}", remedy=begins))
 
     def _steer_refused(self, error: M100Error) -> None:
         self._refused = error
@@ -169,7 +171,11 @@ class TrackExecutor:
         self._require(LoadTrack, "load")
         track = TimedTrack.from_bytes(data)
         if track.name != self._name:
-            raise BadShow(f"the track of {track.name} came to {self._name}", aircraft=(self._name,))
+            raise BadShow(
+                f"the track of {track.name} came to {self._name}",
+                aircraft=(self._name,),
+                remedy="upload to each aircraft the track of its own name",
+            )
         if leave not in ("hover", "land"):
             raise UsageError(f"leave cannot be {leave!r}", remedy="hover or land")
         self.track, self._leave, self.fault = track, leave, None
@@ -245,7 +251,17 @@ class TrackExecutor:
         moves = (0.0, 0.0, 0.0)
         if speed is not None:
             moves = speed.north_m_s, speed.east_m_s, speed.up_m_s
-        return conflicts.by_speed(show.show, self._name, at, here, moves)
+        told = conflicts.by_speed(show.show, self._name, at, here, moves)
+        return replace(told, origin=track.origin)
+
+    def hear(self, ahead: conflicts.ConflictMonitor) -> None:
+        """Another aircraft tells where it will be, in this show or in another one."""
+        others, now = self.neighbours, self._client.now
+        if others is None:
+            return
+        if ahead.show != others.show and ahead.origin is not None and self._start_at is not None:
+            ahead = ahead.seen_from(self._loaded().origin, now - self._start_at, others.show)
+        others.hear(ahead, now)
 
     # -- what it does ----------------------------------------------------------------------------
 
@@ -267,7 +283,8 @@ class TrackExecutor:
                 await self._leave_for(error)
             except Exception:
                 # Whatever failed: in its stage it would count as flying its track.
-                await self._leave_for(M100Error(f"the agent of {self._name} failed in the show"))
+                failed = f"the agent of {self._name} failed in the show"
+                await self._leave_for(M100Error(failed, remedy="read the log of its agent"))
                 raise
 
         if self._work is not None:
@@ -324,6 +341,7 @@ class TrackExecutor:
             measured=self._client.now - self._heard_at,
             limit=ATTENDED_S,
             cause="its program ended, or the network is cut",
+            remedy="begin the show again; let the conductor run until it has begun",
         )
 
     async def _fly(
@@ -368,6 +386,7 @@ class TrackExecutor:
                 measured=missing,
                 limit=0,
                 cause="they have no order to begin, were killed, or the network is cut",
+                remedy="m100link fleet list shows who is there; begin again with all of them",
             )
 
     def _require_apart(self) -> None:
@@ -391,6 +410,7 @@ class TrackExecutor:
             measured=near.distance_m,
             limit=others.least_m,
             cause=cause,
+            remedy="it hovers or lands where it is, as --leave says; look at both",
         )
 
     async def _end(self) -> None:
@@ -408,12 +428,16 @@ class TrackExecutor:
     def _here(self, track: TimedTrack) -> Vector:
         found = self._client.view.to_steer_by(Position)
         if found is None:
-            raise TelemetryStalled(f"the position of {self._name} is unknown")
+            raise TelemetryStalled(
+                f"the position of {self._name} is unknown", remedy="wait for GPS, and begin again"
+            )
         north, east = LocalFrame(*track.origin).to_local(found.latitude_deg, found.longitude_deg)
         return north, east, found.height_m + track.ground_m
 
     def _heading(self) -> float:
         found = self._client.view.to_steer_by(Attitude)
         if found is None:
-            raise TelemetryStalled(f"the heading of {self._name} is unknown")
+            raise TelemetryStalled(
+                f"the heading of {self._name} is unknown", remedy="look at its line: fleet list"
+            )
         return found.yaw_deg

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import ast
 import asyncio
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from functools import partial
 from itertools import combinations
 from math import dist
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -635,3 +637,22 @@ async def test_it_begins_five_seconds_after_all_are_ready_and_is_heard_every_two
     assert before == pytest.approx([2.0, 4.0], abs=0.01)
     measured = [asked for at, name, asked in one.asked if (at, name) == (0.0, "a1")]
     assert sum(isinstance(asked, AskShow) for asked in measured) == 1 + 1 + 12
+
+
+def test_each_refusal_of_a_show_says_what_to_do() -> None:
+    """But for messages of others that nobody reads: their reader drops them."""
+    folder = Path(track_executor.__file__).parent
+    lacking = []
+    for path in sorted(folder.rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if not isinstance(node, ast.Call) or not isinstance(node.func, ast.Name):
+                continue
+            if node.func.id in KINDS and "remedy" not in {word.arg for word in node.keywords}:
+                lacking.append((path.name, node.lineno))
+    assert [name for name, _ in lacking] == ["conflicts.py", "conflicts.py"], lacking
+
+
+KINDS = (
+    *("BadShow", "ShowRefused", "LeftShow", "UsageError", "TelemetryStalled", "M100Error"),
+    *("NoAuthority", "NotAllowed", "GuardRefused"),
+)

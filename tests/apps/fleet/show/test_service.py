@@ -220,8 +220,10 @@ async def test_a_piece_of_a_track_joins_those_before_it(at: int, size: int, is_t
 async def test_a_place_counts_by_who_tells_it(key: str, version: int, is_heard: bool) -> None:
     heard: list[tuple[str, float]] = []
     service = object.__new__(ShowService)
-    hear = SimpleNamespace(hear=lambda ahead, now: heard.append((ahead.name, now)))
-    service.performer = cast(Any, SimpleNamespace(neighbours=hear))
+    hear = SimpleNamespace(
+        neighbours=object(), hear=lambda ahead: heard.append((ahead.name, service._client.now))
+    )
+    service.performer = cast(Any, hear)
     service._client = cast(Any, SimpleNamespace(now=7.5))
     place = by_speed("show", "a2", 1.0, (1.0, 2.0, 3.0), (0.0, 0.0, 0.0)).to_bytes()
     service._on_place(key, bytes([version]) + place)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+from dataclasses import replace
 from random import Random
 from types import SimpleNamespace
 from typing import Any, cast
@@ -21,7 +22,7 @@ from m100link.apps.fleet.payloads import (
     StartShow,
     TakePlace,
 )
-from m100link.apps.fleet.show.plan.conflicts import Near, Neighbours, by_speed
+from m100link.apps.fleet.show.plan.conflicts import Near, Neighbours, by_speed, by_track
 from m100link.apps.fleet.show.plan.steering import (
     MOST_EARLY_S,
     LeftShow,
@@ -40,6 +41,7 @@ from m100link.errors import (
     UsageError,
 )
 from m100link.flight.guards import Envelope, Guards
+from m100link.geodesy import LocalFrame
 from m100link.protocol.records import Attitude, Position, Velocity
 from m100link.protocol.setpoint import Setpoint
 from m100link.sim.vehicle.settings import AircraftSettings
@@ -640,6 +642,24 @@ async def test_all_are_looked_for_a_second_before_the_beginning(
     setpoint = client.steered[-1][1]
     assert setpoint.x == pytest.approx(0.0, abs=0.05)
     assert setpoint.y > 1.5
+
+
+async def test_an_aircraft_of_another_show_in_its_way_is_left_in_time() -> None:
+    """It hovers 20 m to the north, by its own origin, time and show; the track leads through it."""
+    flown = track("a1", (0, 60, -45, 9), (20, 100, -45, 9), ground_m=1.75)
+    client, performer = given()
+    performer.track, performer.stage = flown, READY
+    performer.neighbours = Neighbours("show", "a1", 3.0)
+    other = LocalFrame(*flown.origin).to_geodetic(500.0, 0.0)
+    told = by_speed("other", "b1", 99.0, (-420.0, -45.0, 2.0), (0.0, 0.0, 0.0))
+    performer.hear(replace(told, origin=other))
+    assert performer.neighbours.near(by_track("show", flown, 5.0, (70.0, -45.0, 9.0)), 5.0) is None
+    performer._start_at = client.now
+    performer.hear(replace(told, origin=other))
+    near = performer.neighbours.near(by_track("show", flown, 0.0, (60.0, -45.0, 9.0)), client.now)
+    assert near is not None
+    assert near.name == "b1"
+    assert 0.0 < near.at < 10.0
 
 
 async def test_a_conductor_is_missed_after_ten_seconds() -> None:

@@ -18,6 +18,7 @@ from typing import Self
 
 from m100link.apps.fleet.show.plan.track import BadShow, TimedTrack, Vector, apart
 from m100link.errors.texts import read_json
+from m100link.geodesy import LocalFrame
 
 AHEAD_S = 10.0
 """Seconds that are looked ahead."""
@@ -51,6 +52,18 @@ class ConflictMonitor:
     # From when it may be landing, s from the beginning of the show: then it counts as everywhere
     # below its place.
     down_from: float
+    origin: tuple[float, float] | None = None  # latitude and longitude of the show's origin, °
+
+    def seen_from(self, origin: tuple[float, float], now: float, show: str) -> ConflictMonitor:
+        """An aircraft of another show, as one that flies this show: by its origin and its time.
+
+        Nobody knows the height of the other origin: it counts as everywhere above and below.
+        """
+        assert self.origin is not None
+        there, here = LocalFrame(*self.origin), LocalFrame(*origin)
+        spots = [here.to_local(*there.to_geodetic(*place[:2])) for place in self.places]
+        places = tuple((north, east, _MOST_M) for north, east in spots)
+        return ConflictMonitor(f"{show}, beside", self.name, now, places, -math.inf)
 
     def place(self, at: float) -> Vector:
         """Where it will be at a time; behind the last place it stays there."""
@@ -78,6 +91,8 @@ class ConflictMonitor:
         """As it goes over the network."""
         places = [[round(one, 2) for one in place] for place in self.places]
         fields = [self.show, self.name, round(self.at, 3), round(self.down_from, 3), places]
+        if self.origin is not None:
+            fields += self.origin
         return json.dumps(fields, separators=(",", ":")).encode()
 
     @classmethod
@@ -85,15 +100,19 @@ class ConflictMonitor:
         try:
             if len(data) > _MOST_BYTES:
                 raise ValueError("too long")
-            show, name, at, down_from, places = read_json(data)
+            show, name, at, down_from, places, *origin = read_json(data)
             found = tuple((float(n), float(e), float(h)) for n, e, h in places)
             times = float(at), float(down_from)
-        except (ValueError, TypeError, OverflowError) as error:
+            place = None
+            if origin:
+                place = float(origin[0]), float(origin[1])
+                LocalFrame(*place)  # raises where it cannot be one
+        except (ValueError, TypeError, OverflowError, IndexError) as error:
             raise BadShow(f"the path of an aircraft cannot be read: {error}") from None
         numbers = [*times, *(one for place in found for one in place)]
         if not found or not all(abs(one) <= _MOST_M for one in numbers):  # NaN is no number
             raise BadShow("the path of an aircraft has no possible positions")
-        return cls(str(show), str(name), times[0], found, times[1])
+        return cls(str(show), str(name), times[0], found, times[1], place)
 
 
 def by_track(show: str, track: TimedTrack, at: float, here: Vector) -> ConflictMonitor:
@@ -104,7 +123,7 @@ def by_track(show: str, track: TimedTrack, at: float, here: Vector) -> ConflictM
     for step in range(_STEPS + 1):
         north, east, height = track.moment(at + step * _STEP_S).place
         places.append((north + off[0], east + off[1], height + off[2]))
-    return ConflictMonitor(show, track.name, at, tuple(places), track.end)
+    return ConflictMonitor(show, track.name, at, tuple(places), track.end, track.origin)
 
 
 def by_speed(show: str, name: str, at: float, here: Vector, speed: Vector) -> ConflictMonitor:
@@ -136,15 +155,15 @@ class Neighbours:
 
     def __init__(self, show: str, name: str, least_m: float, count: int = 0) -> None:
         if not 0 <= least_m <= 1000:
-            raise BadShow(f"{least_m:g} m is no distance between two aircraft: 0 to 1000 m")
+            raise BadShow(f"{least_m:g} m is no distance of two aircraft", remedy="0 to 1000 m")
         self.show, self.name, self.least_m, self.count = show, name, least_m, count
         self._heard: dict[str, tuple[ConflictMonitor, float]] = {}
         # Of silent ones that were decided about: their last word.
         self._settled: dict[str, float] = {}
 
     def hear(self, ahead: ConflictMonitor, now: float) -> None:
-        """One tells where it will be; those of other shows are not compared."""
-        if ahead.show != self.show or ahead.name == self.name:
+        """One tells where it will be; of another show it has to be seen from this one."""
+        if ahead.show not in (self.show, f"{self.show}, beside") or ahead.name == self.name:
             return
         known = self._heard.get(ahead.name)
         if known is None and len(self._heard) >= _MOST:
@@ -154,7 +173,8 @@ class Neighbours:
 
     def missing(self, now: float) -> int:
         """How many of the others have not reported in the last two seconds where they will be."""
-        heard = sum(now - at <= _THERE_S for _, at in self._heard.values())
+        own = [at for ahead, at in self._heard.values() if ahead.show == self.show]
+        heard = sum(now - at <= _THERE_S for at in own)
         return max(0, self.count - heard)
 
     def near(

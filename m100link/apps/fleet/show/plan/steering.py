@@ -183,6 +183,7 @@ class TrackSteering:
                 measured=bound,
                 limit=SKEW_S,
                 cause="the conductor has been silent for long",
+                remedy="let the conductor and its network run until the end of the show",
             )
 
     def _require_near(self, at: float, off: float) -> None:
@@ -194,6 +195,7 @@ class TrackSteering:
                 at=at,
                 measured=off,
                 limit=self._track.tube_m,
+                remedy="fly in less wind, or a slower show with a wider tube_m",
             )
         self.farthest_m = max(self.farthest_m, off)
 

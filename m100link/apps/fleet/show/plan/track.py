@@ -164,7 +164,8 @@ class TimedTrack:
 
     def __post_init__(self) -> None:
         for problem in _problems(self):
-            raise BadShow(f"{self.name}: {problem}", aircraft=(self.name,))
+            mend = "mend that in its file: m100link fleet show check FILE"
+            raise BadShow(f"{self.name}: {problem}", aircraft=(self.name,), remedy=mend)
 
     @property
     def begin(self) -> float:
@@ -274,7 +275,8 @@ class TimedTrack:
             name, (latitude, longitude), points, ground, heading if has_heading else None, tube
         )
         if made.to_bytes() != data:  # another spelling would have another hash
-            raise BadShow("the bytes of a track are not as this version writes them")
+            mend = "install the same release on board and here, and upload it again"
+            raise BadShow("the bytes of a track are not as this version writes them", remedy=mend)
         return made
 
     @cached_property

@@ -6,6 +6,7 @@ import json
 import math
 import random
 import time
+from dataclasses import replace
 from itertools import pairwise
 
 import pytest
@@ -23,6 +24,7 @@ from m100link.apps.fleet.show.plan.conflicts import (
     nearest,
 )
 from m100link.apps.fleet.show.plan.track import BadShow, Vector
+from m100link.geodesy import LocalFrame
 from tests.apps.fleet.show.shows import random_track, track
 
 NORTH = track("a1", (0, 0, 0, 4), (20, 40, 0, 4))
@@ -182,6 +184,65 @@ def test_other_shows_and_itself_are_not_compared() -> None:
     for show, name in (("other", "a2"), ("show", "a1")):
         ones.hear(by_speed(show, name, 5.0, (10.0, 0.0, 4.0), (0.0, 0.0, 0.0)), 0.0)
     assert ones.near(on_track(5.0), 0.0) is None
+
+
+HERE = (22.5431, 113.9589)
+
+
+@pytest.mark.parametrize(
+    ("north", "east", "height", "near"),
+    # 20 m north at 10 s is where the track of a1 is; other heights are no way out.
+    [(20.0, 0.0, 4.0, True), (20.0, 0.0, 90.0, True), (20.0, 30.0, 4.0, False)],
+)
+def test_an_aircraft_of_another_show_is_seen_from_this_one(
+    north: float, east: float, height: float, near: bool
+) -> None:
+    """Its origin is 100 m to the south, and its own time is another one."""
+    frame = LocalFrame(*HERE)
+    origin = frame.to_geodetic(-100.0, 0.0)
+    place = (north + 100.0, east, height)
+    other = replace(by_speed("other", "b1", 777.0, place, (0.0, 0.0, 0.0)), origin=origin)
+    other = ConflictMonitor.from_bytes(other.to_bytes())
+    ones = neighbours()
+    ones.hear(other.seen_from(HERE, 5.0, "show"), 0.0)
+    assert (ones.near(on_track(5.0), 0.0) is not None) is near
+    assert ones.missing(0.0) == neighbours().missing(0.0), (
+        "it is none of those that this show needs"
+    )
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_no_origin_and_no_place_of_a_stranger_raises_anything_else(seed: int) -> None:
+    chance = random.Random(seed)
+    odd: list[object] = [
+        0.0,
+        -0.0,
+        89.0,
+        -89.0,
+        90.0,
+        180.0,
+        360.0,
+        1e6,
+        -1e6,
+        1e300,
+        math.nan,
+        None,
+        "x",
+        [],
+    ]
+    for _ in range(400):
+        origin = [chance.choice(odd) for _ in range(chance.randint(0, 3))]
+        place = [chance.choice([0.0, 1e6, -1e6, 5.0]) for _ in range(3)]
+        data = json.dumps(["other", "b1", 0.0, 0.0, [place] * 21, *origin]).encode()
+        try:
+            found = ConflictMonitor.from_bytes(data)
+        except BadShow:
+            continue
+        if found.origin is not None:
+            seen = found.seen_from(HERE, 5.0, "show")
+            ones = neighbours()
+            ones.hear(seen, 0.0)
+            ones.near(on_track(5.0), 0.0)
 
 
 def test_what_is_sent_comes_out_as_it_went_in() -> None:
