@@ -234,25 +234,18 @@ def _path(column: str) -> str:
 
 def _plot(title: str, **columns: str) -> dict[str, Any]:
     return {
-        "title": title,
+        **dict.fromkeys(("foxglovePanelTitle", "lichtblickPanelTitle"), title),
         "paths": [
-            {
-                "value": _path(column),
-                "label": label,
-                "enabled": True,
-                "timestampMethod": "receiveTime",
-            }
-            for label, column in columns.items()
+            _series(_path(column), label=label, enabled=True) for label, column in columns.items()
         ],
-        "showXAxisLabels": True,
-        "showYAxisLabels": True,
-        "showLegend": True,
-        "legendDisplay": "floating",
+        "legendDisplay": "left",  # a floating one covers the curves of a small plot
         "showPlotValuesInLegend": True,
-        "isSynced": True,
-        "xAxisVal": "timestamp",
-        "sidebarDimension": 240,
+        "sidebarDimension": 200,
     }
+
+
+def _series(path: str, **more: Any) -> dict[str, Any]:
+    return {"value": path, "timestampMethod": "receiveTime", **more}
 
 
 def _split(direction: str, first: Any, second: Any, percent: int) -> dict[str, Any]:
@@ -265,56 +258,39 @@ def layout() -> dict[str, Any]:
     ``/tf`` and ``/m100/log`` are there while a flight is watched, ``/m100/event`` in its log.
     """
     panels = {
-        "map!m100": {"enabledTopics": [FIX], "followTopic": FIX, "zoomLevel": 18},
+        "map!m100": {"followTopic": FIX, "zoomLevel": 18},
         "Plot!height": _plot("Height, m", height="position.height"),
         "Plot!speed": _plot("Speed, m/s", north="velocity.x", east="velocity.y", up="velocity.z"),
         "Plot!battery": _plot("Battery, %", charge="battery.percent"),
-        "Gauge!battery": {
-            "path": _path("battery.percent"),
-            "minValue": 0,
-            "maxValue": 100,
-            "colorMode": "colormap",
-            "colorMap": "red-yellow-green",
-            "gradient": ["#0000ff", "#ff00ff"],
-            "reverse": False,
-        },
         "Plot!attitude": _plot(
-            "Attitude, quaternion",
-            **{name: f"quaternion.{name}" for name in ("q0", "q1", "q2", "q3")},
+            "Attitude, quaternion", **{f"q{one}": f"quaternion.q{one}" for one in range(4)}
         ),
         "3D!attitude": {
             "followTf": "takeoff",
             "followMode": "follow-pose",
             "scene": {"transforms": {"axisScale": 1.5, "showLabel": True}},
-            "transforms": {"frame:m100": {"visible": True}},
-            "topics": {},
             "layers": {"grid": {"layerId": "foxglove.Grid", "visible": True, "size": 20}},
         },
         "StateTransitions!status": {
-            "paths": [
-                {"value": _path("flight_status.status"), "timestampMethod": "receiveTime"},
-                {"value": f"{EVENT}.after", "timestampMethod": "receiveTime"},
-            ],
-            "isSynced": True,
+            "paths": [_series(_path("flight_status.status")), _series(f"{EVENT}.after")]
         },
-        "RawMessages!event": {"topicPath": EVENT, "diffEnabled": False},
+        "RawMessages!event": {"topicPath": EVENT},
         "RosOut!log": {"topicToRender": MESSAGE, "minLogLevel": 1},
     }
-    left = _split("column", "map!m100", _split("row", "3D!attitude", "Gauge!battery", 65), 60)
     plots = _split(
         "column",
         _split("column", "Plot!height", "Plot!speed", 50),
         _split("column", "Plot!battery", "Plot!attitude", 50),
         50,
     )
-    types = _split("row", "RawMessages!event", "RosOut!log", 50)
-    right = _split("column", plots, _split("column", "StateTransitions!status", types, 35), 70)
+    texts = _split("row", "RawMessages!event", "RosOut!log", 50)
+    right = _split("column", plots, _split("column", "StateTransitions!status", texts, 45), 62)
     return {
         "configById": panels,
         "globalVariables": {},
         "userNodes": {},
         "playbackConfig": {"speed": 1},
-        "layout": _split("row", left, right, 45),
+        "layout": _split("row", _split("column", "map!m100", "3D!attitude", 60), right, 45),
     }
 
 

@@ -13,8 +13,28 @@ from m100link.log import read
 from m100link.log.channels import SCHEMAS, layout
 from tests.log.flight import fly
 
-# Panels that Foxglove and Lichtblick both have, by the type in the panel's name.
-PANELS = {"map", "Plot", "Gauge", "3D", "StateTransitions", "RawMessages", "RosOut"}
+# Panels that Foxglove and Lichtblick both have, by the type in the panel's name, and the settings
+# that both read: the types of Lichtblick 1.28, and foxglove.layouts of foxglove-sdk 0.30. Each
+# ignores a setting that it does not know.
+SETTINGS = {
+    "map": "customTileUrl disabledTopics followTopic layer maxNativeZoom topicColors zoomLevel",
+    "Plot": "paths minXValue maxXValue minYValue maxYValue showLegend legendDisplay isSynced"
+    " showPlotValuesInLegend showXAxisLabels showYAxisLabels xAxisVal xAxisPath xAxisLabel"
+    " yAxisLabel followingViewWidth sidebarDimension",
+    "3D": "cameraState followTf followMode scene transforms topics layers publish",
+    "StateTransitions": "paths isSynced xAxisMaxValue xAxisMinValue xAxisRange showPoints",
+    "RawMessages": "diffEnabled diffMethod diffTopicPath expansion topicPath",
+    "RosOut": "searchTerms minLogLevel topicToRender nameFilter",
+}
+SERIES = {"value", "label", "enabled", "color", "showLine", "lineSize", "timestampMethod"}
+CHOICES = {
+    "legendDisplay": {"floating", "top", "left"},
+    "xAxisVal": {"timestamp", "index", "custom", "currentCustom"},
+    "timestampMethod": {"receiveTime", "headerStamp"},
+    "followMode": {"follow-pose", "follow-position", "follow-none"},
+}
+TITLES = {"foxglovePanelTitle", "lichtblickPanelTitle"}  # of Foxglove, and of Lichtblick
+PATH = re.compile(r'(/[\w-]+)+(\.([\w-]+|"[^"\\]+"))*')  # their grammar, without slices and filters
 
 
 def leaves(node: Any) -> list[str]:
@@ -37,8 +57,24 @@ def test_every_panel_has_one_place_and_its_settings() -> None:
     }
     placed = leaves(made["layout"])
     assert sorted(placed) == sorted(made["configById"])
-    assert {name.split("!")[0] for name in placed} <= PANELS
+    assert {name.split("!")[0] for name in placed} <= SETTINGS.keys()
     assert json.loads(json.dumps(made)) == made
+
+
+@pytest.mark.parametrize("name", layout()["configById"])
+def test_each_setting_is_one_that_both_programs_read(name: str) -> None:
+    panel = layout()["configById"][name]
+    titles = TITLES & panel.keys()
+    assert not titles or len({panel[title] for title in TITLES}) == 1
+    assert panel.keys() - titles <= set(SETTINGS[name.split("!")[0]].split())
+    for one in (panel, *panel.get("paths", ())):
+        for key, value in one.items():
+            assert value in CHOICES.get(key, [value])
+    for one in panel.get("paths", ()):
+        assert one.keys() <= SERIES
+        assert PATH.fullmatch(one["value"])
+    for key in ("topicPath", "topicToRender", "followTopic"):
+        assert PATH.fullmatch(panel.get(key, "/m100"))
 
 
 @pytest.mark.anyio
