@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 from collections import Counter
 from collections.abc import Callable, Coroutine, Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
@@ -193,10 +194,7 @@ class FileService:
     async def _stream(
         self, name: str, messages: list[dict[str, Any]], peer: Peer, wanted: _Transfer | None = None
     ) -> bool:
-        """Send messages at the one pace of all peers; False when their part is wanted no more.
-
-        They cost their peer no share of the reading.
-        """
+        """Send at the one pace, at no cost of the peer's reading; False if it is wanted no more."""
         for first in range(0, len(messages), _AT_ONCE):
             some = messages[first : first + _AT_ONCE]
             async with self._pace:
@@ -226,27 +224,20 @@ class FileService:
         """Send the part that the peer wants, until it wants no more."""
         entries = await self._listed(peer, anew=False)
         while (wanted := self.transfers.get(peer)) is not None:
-            data = b""
+            data, size, begin = b"", min(_BLOCK, wanted.end - wanted.at), wanted.at
             if wanted.number < len(entries):
-                try:
-                    size = min(_BLOCK, wanted.end - wanted.at)
-                    data, _ = await self._piece(entries[wanted.number].log, wanted.at, size)
-                except UsageError:
-                    pass  # it made room for a newer one: that is its end
-            if await self._sent(data, wanted, peer) and self.transfers.get(peer) is wanted:
+                with suppress(UsageError):  # it made room for a newer one: that is its end
+                    data, _ = await self._piece(entries[wanted.number].log, begin, size)
+            parts = [data[at : at + _LOG_DATA] for at in range(0, len(data) or 1, _LOG_DATA)]
+            messages = [
+                {"id": wanted.number, "ofs": begin + at * _LOG_DATA, "count": len(one), "data": one}
+                for at, one in enumerate(parts)
+            ]
+            wanted.at += len(data)
+            is_last = len(data) < size or wanted.at >= wanted.end
+            is_sent = await self._stream("LOG_DATA", messages, peer, wanted)
+            if is_sent and is_last and self.transfers.get(peer) is wanted:
                 self._end(peer)
-
-    async def _sent(self, data: bytes, wanted: _Transfer, peer: Peer) -> bool:
-        """Send a block of it; True if it was the last one."""
-        parts = {at: data[at : at + _LOG_DATA] for at in range(0, len(data) or 1, _LOG_DATA)}
-        messages = [
-            {"id": wanted.number, "ofs": wanted.at + at, "count": len(part), "data": part}
-            for at, part in parts.items()
-        ]
-        if not await self._stream("LOG_DATA", messages, peer, wanted):
-            return False
-        wanted.at += len(data)
-        return wanted.at >= wanted.end or len(data) < _BLOCK
 
     # -- MAVLink FTP -------------------------------------------------------------------------------
 
@@ -346,11 +337,9 @@ class FileService:
         if name in self.made:
             return self.made[name][at : at + size], len(self.made[name])
         folder, _, log = name.partition("/")
-        try:
+        with suppress(UsageError):  # it is none of ours, or is gone
             if folder == _FOLDER:
                 return await self._piece(log, at, size)
-        except UsageError:
-            pass  # it is none of ours, or is gone
         raise _Refused(_Error.FILE_NOT_FOUND)
 
     async def _names(self, name: str, first: int) -> bytes:
