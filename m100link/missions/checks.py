@@ -135,9 +135,8 @@ def _problems_of_choices(plan: PlanValues) -> Iterator[BadPlan]:
         value = getattr(plan, field)
         if not isinstance(value, kind):
             names = ", ".join(f"{kind.__name__}.{one.name}" for one in kind)
-            yield wrong(
-                field, value, f"is {shortened(repr(value))}", f"one of {names}", tuple(kind)
-            )
+            said = f"is {shortened(repr(value))}"
+            yield wrong(field, value, said, f"one of {names}", tuple(kind))
     yield from _not_bool(plan.gimbal_by_waypoint, "gimbal_by_waypoint")
     yield from _not_bool(plan.take_off, "take_off")
     yield from _outside(plan.repeat, _REPEAT, "repeat", whole=True)
@@ -145,9 +144,8 @@ def _problems_of_choices(plan: PlanValues) -> Iterator[BadPlan]:
 
 def _not_bool(value: object, field: str, point: int | None = None) -> Iterator[BadPlan]:
     if not isinstance(value, bool):
-        yield wrong(
-            field, value, f"is {shortened(repr(value))}", "True or False", (False, True), point
-        )
+        said = f"is {shortened(repr(value))}"
+        yield wrong(field, value, said, "True or False", (False, True), point)
 
 
 def _problems_of_speed(plan: PlanValues) -> Iterator[BadPlan]:

@@ -14,7 +14,7 @@ import os
 import re
 import shutil
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -262,16 +262,14 @@ def _unfenced(found: re.Match[str], root: Path) -> str:
         return f"> **{name.capitalize()}.** {said}"
     if name == "eval-rst":
         return "\n".join(_described(body))
-    if head_and_rows := _rows(name, argument, root):
-        head, *rows = (
-            [one.replace("``", "`").replace("|", "\\|") for one in row] for row in head_and_rows
-        )
-        return "\n".join(f"| {' | '.join(row)} |" for row in (head, ["---"] * len(head), *rows))
+    if table := _rows(name, argument, root):
+        table.insert(1, ["---"] * len(table[0]))
+        return "\n".join(f"| {' | '.join(row)} |" for row in table)
     what = " ".join([*name.split("-"), argument]).strip()
     return f"*({what}: made of the code, see the manual that `nox -s manual` builds)*"
 
 
-def _rows(name: str, argument: str, root: Path) -> list[Sequence[str]]:
+def _rows(name: str, argument: str, root: Path) -> list[list[str]]:
     """Head and body of a table that the builder makes of the code; none of what is no table."""
     folder, made = str(root / "_ext"), dict[str, Any]()
     builder = SimpleNamespace(add_directive=made.__setitem__, connect=lambda *_: None)
@@ -288,7 +286,9 @@ def _rows(name: str, argument: str, root: Path) -> list[Sequence[str]]:
     directive = table.__new__(table)
     directive.arguments = argument.split()
     with suppress(OSError):  # it is made of a file that a wheel has not
-        return [*directive.rows()]
+        return [
+            [one.replace("``", "`").replace("|", "\\|") for one in row] for row in directive.rows()
+        ]
     return []
 
 

@@ -494,16 +494,14 @@ def _controller(
     return (system, component) if system and component else _NOBODY
 
 
-def _require_camera(identity: float) -> None:
-    """Raises UsageError: it is another camera's."""
-    if not (math.isnan(identity) or identity in (0.0, 1.0, CAMERA)):
-        raise UsageError(f"camera: there is no camera {identity:g}")
+def _require(part: str, known: tuple[float, ...], identity: float) -> None:
+    """Raises UsageError: it is another one's."""
+    if not (math.isnan(identity) or identity in (0.0, *known)):
+        raise UsageError(f"{part}: there is no {part} {identity:g}")
 
 
-def _require_gimbal(identity: float) -> None:
-    """Raises UsageError: it is another gimbal's."""
-    if not (math.isnan(identity) or identity in (0.0, _DEVICE)):
-        raise UsageError(f"gimbal: there is no gimbal {identity:g}")
+_require_camera = partial(_require, "camera", (1.0, CAMERA))
+_require_gimbal = partial(_require, "gimbal", (_DEVICE,))
 
 
 def _checked(aim: Aim) -> Aim:
