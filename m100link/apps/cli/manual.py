@@ -14,7 +14,7 @@ import os
 import re
 import shutil
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -281,14 +281,12 @@ def _rows(name: str, argument: str, root: Path) -> list[list[str]]:
     finally:
         sys.path.remove(folder)
     table = made.get(name, object)
-    if not hasattr(table, "rows"):
-        return []
-    directive = table.__new__(table)
-    directive.arguments = argument.split()
-    with suppress(OSError):  # it is made of a file that a wheel has not
-        return [
-            [one.replace("``", "`").replace("|", "\\|") for one in row] for row in directive.rows()
-        ]
+    if hasattr(table, "rows"):
+        directive = table.__new__(table)
+        directive.arguments = argument.split()
+        with suppress(OSError):  # it is made of a file that a wheel has not
+            rows: Iterable[Iterable[str]] = directive.rows()
+            return [[one.replace("``", "`").replace("|", "\\|") for one in row] for row in rows]
     return []
 
 
