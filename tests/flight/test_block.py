@@ -10,6 +10,7 @@ import gc
 import signal
 import threading
 import weakref
+from unittest.mock import Mock
 
 import anyio
 import pytest
@@ -29,6 +30,7 @@ from m100link import (
     TelemetryStalled,
     UsageError,
 )
+from m100link.errors import OutOfResources
 from m100link.sim import LineFaults, VirtualClockEventLoop
 from tests.rig import FIRMWARES, NORTH, Rig, rig
 
@@ -716,3 +718,16 @@ def test_a_block_in_another_thread_leaves_signals_alone() -> None:
     thread.start()
     thread.join()
     assert failures == []
+
+
+async def test_a_block_that_cannot_begin_leaves_the_firmware_to_the_next_answer(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """While one flies, no answer to a version query changes what is sent."""
+    async with rig(firmware="3.1") as flown:
+        block = flown.aircraft.control()
+        with monkeypatch.context() as patch:
+            patch.setattr("m100link.flight.block.reserve", Mock(side_effect=OutOfResources("no")))
+            with pytest.raises(OutOfResources):
+                await block.__aenter__()
+        assert not block._commander.requests._is_fixed

@@ -207,6 +207,17 @@ async def test_a_take_off_is_refused_when_what_a_guard_compares_does_not_come(
         assert flown.now == began_at
 
 
+async def test_what_has_never_come_is_waited_for_from_the_beginning_of_control_alone() -> None:
+    """A look from outside of a block, before any time was noted, waits for nothing."""
+    async with rig(assistant=AssistantSettings(rates_hz={"battery": 0})) as flown:
+        keeper = GuardKeeper(Guards(), flown.aircraft.state)
+        assert not keeper._may_still_come(Battery)
+        keeper._began_at = flown.now
+        assert keeper._may_still_come(Battery)
+        await asyncio.sleep(2.0)
+        assert not keeper._may_still_come(Battery)
+
+
 async def test_the_envelope_alone_needs_the_height_for_a_take_off() -> None:
     assistant = AssistantSettings(rates_hz={"position": 0})
     guards = Guards(gps=False)

@@ -9,6 +9,7 @@ import socket
 from dataclasses import asdict
 from types import SimpleNamespace
 from typing import Any, cast
+from unittest.mock import Mock, call, patch
 
 import pytest
 
@@ -670,3 +671,20 @@ async def test_a_host_gets_setpoints_of_seconds_and_is_lost_after_twenty(
 
 def test_each_limit_is_as_agreed() -> None:
     assert limits.differences("link") == []
+
+
+@pytest.mark.parametrize("error", [None, OSError(errno.EIO, "gone")])
+def test_a_polled_port_drops_what_it_did_not_send_and_ends(error: OSError | None) -> None:
+    """Its base waits for the other end to read, on the event loop."""
+    port, ended = Mock(), Mock()
+    port.reset_output_buffer.side_effect = error
+    polled = object.__new__(transport._PolledTransport)
+    polled._serial = port
+    base = "m100link.link.transport.serial_asyncio.SerialTransport._call_connection_lost"
+    with patch(base, ended):
+        polled._call_connection_lost(None)
+        assert port.mock_calls == [call.reset_output_buffer()], "and not what came"
+        ended.assert_called_once_with(None)
+        polled._serial = None
+        polled._call_connection_lost(None)
+        ended.assert_called_once()

@@ -10,7 +10,9 @@ import time
 import tracemalloc
 from collections.abc import AsyncIterator, Callable
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
+from unittest.mock import Mock, call
 
 import pytest
 
@@ -26,6 +28,7 @@ from m100link.apps.agent import orders
 from m100link.apps.station.config import Settings
 from m100link.apps.station.ros.client import Client, ClientLimits
 from m100link.apps.station.run import RunningStation, running
+from m100link.apps.station.web import server
 from m100link.errors import PortBusy, UsageError
 from m100link.sim.virtual import VirtualAircraft
 from tests.sockets import connect
@@ -445,3 +448,18 @@ async def test_a_socket_that_is_cut_stops_the_motion() -> None:
         flown = [move for move in list(moves)[before:] if move.pitch_or_y == -4]
         assert len(flown) <= 20
         await until(lambda: not one.agent.holding.has_authority)
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_who_makes_room_hears_why_and_has_ended_at_once(
+    monkeypatch: pytest.MonkeyPatch, count: int
+) -> None:
+    """Its topics and its lease do not wait for the end of its socket."""
+    silent = [Mock(spec=Client, heard_at=40.0) for _ in range(count)]
+    one = object.__new__(server.RosbridgeServer)
+    one.agents = {"": cast(Any, SimpleNamespace(now=43.5))}
+    one.graph, one.clients, one._max_clients = cast(Any, SimpleNamespace(sessions=silent)), {}, 2
+    monkeypatch.setattr(server, "to_evict", lambda others, peer, now: others[0])
+    assert one._make_room("a peer")
+    why = "another client needs the place; this one was silent for 3.5 s"
+    assert silent[0].method_calls == [call.disconnect(why), call.close(43.5)] * (count - 1)

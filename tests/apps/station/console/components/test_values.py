@@ -853,6 +853,7 @@ async def test_the_card_of_a_point_is_closed_and_forgets_it(here: Here) -> None:
 
 def test_the_map_shows_another_plan_and_other_tiles_once(here: Here) -> None:
     part = here.make(MapPart)
+    assert part.leaflet.props["options"]["maxZoom"] == 22, "as its layers have"
     here.works.pop().close()  # the look at the tiles
     here.notes.clear()
     here.page.tiles.pictures = Pictures((14, 19), "© Anna", 2**60)
