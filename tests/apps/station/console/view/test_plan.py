@@ -72,6 +72,7 @@ def test_a_point_that_is_not_there_changes_nothing(index: int) -> None:
     draft = drawn(0, 20, 40)
     assert draft.moved(index, at(1)) == draft
     assert draft.put(index, 0) == draft
+    assert draft.put(0, index) == draft, "no place to put it"
     assert draft.corner_moved(index, at(1)) == draft
 
 
