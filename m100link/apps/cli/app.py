@@ -101,6 +101,7 @@ _ROWS = {
         ("fleet show preview", "", "show.json", "show.json show.svg"),
         ("fleet show fly", "", "show.json", "show.json --leave hover --yes"),
         ("fleet log list", "", "a1", "--all"),
+        ("fleet log audit", "", "a1", "--all --to audit"),
         ("fleet log fetch", "", "a1", "--all --last --to logs"),
         ("fleet pki revoke", "", "anna --folder pki", "anna bert --folder pki --json"),
         ("fleet pki list", "", "--folder pki", "--folder pki --json"),

@@ -39,11 +39,14 @@ from m100link.apps.cli.options import Above0, AtMost, group
 from m100link.apps.cli.terminal import ExitCode, ReaderGone, print_json
 from m100link.apps.fleet.client import Fleet, FleetAircraft
 from m100link.apps.fleet.identity import WINDOW_S
-from m100link.apps.fleet.keys import Keys, in_order
+from m100link.apps.fleet.keys import Keys, check_name, in_order
 from m100link.apps.fleet.logs.fetching import Fetched
 from m100link.apps.fleet.payloads import Card, Result
 from m100link.apps.fleet.publisher import FleetTelemetry
+from m100link.apps.fleet.revocations import Revocations
+from m100link.apps.fleet.signing import merge_audit
 from m100link.errors import UsageError
+from m100link.log.folder import state_folder
 from m100link.protocol.items import BY_RECORD
 from m100link.protocol.records import Battery, FlightStatus, Position, Velocity
 from m100link.telemetry.sample import Sample
@@ -362,6 +365,42 @@ async def logs(*names: Names, everybody: All = False, options: FleetOptions = NO
     if results and not rows and not options.json_output:
         err.print("no logs")
     return _failures(results, options)
+
+
+@log.command
+async def audit(
+    *names: Names,
+    everybody: All = False,
+    to: Path | None = None,
+    options: FleetOptions = NO_OPTIONS,
+) -> int:
+    """Merge the signed logs of orders: who ordered what of which aircraft, when, and the outcome.
+
+    The lines stay in a file NAME.audit here, and the command fetches only newer ones. It names each
+    line that somebody altered or removed, on board or here; the status is 1 then.
+
+    Args:
+        to: Folder of those files; by default audit/SITE in m100link of the user's state folder.
+    """
+    folder = state_folder() / "audit" / check_name(options.place, "a site") if to is None else to
+    authority = Revocations.of_folder(options.folder).authority
+
+    async def one(aircraft: FleetAircraft) -> tuple[list[dict[str, Any]], list[str]]:
+        path = folder / f"{aircraft.name}.audit"
+        return await merge_audit(path, aircraft.name, aircraft.audit, authority)
+
+    results = await results_of(names, everybody, options, one)
+    merged = {name: one.value for name, one in results.items() if isinstance(one.value, tuple)}
+    rows = [(facts["at"], name, facts) for name, (lines, _) in merged.items() for facts in lines]
+    for at, name, facts in sorted(rows, key=lambda row: row[0]):
+        if "order" in facts:
+            day = time.strftime("%Y-%m-%d %H:%M:%S", time.gmtime(at))
+            words = f"{day}  {name:8} {facts['signer'] or facts['by']:12} {facts['order']:16}"
+            words += f" {facts['outcome']}  {facts.get('why', '')}"
+            tell({"name": name} | facts, words.rstrip(), as_json=options.json_output)
+    wrong = [f"{name}: {text}" for name, (_, texts) in merged.items() for text in texts]
+    say(*wrong, to=err)
+    return _failures(results, options) or (ExitCode.FAILED if wrong else ExitCode.OK)
 
 
 @log.command

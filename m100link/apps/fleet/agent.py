@@ -39,7 +39,7 @@ from m100link.apps.fleet.identity import Since, nobody
 from m100link.apps.fleet.keys import Keys
 from m100link.apps.fleet.lost_link import LastFlight, LostLinkAction, LostLinkPlan
 from m100link.apps.fleet.missions.manager import MissionManager
-from m100link.apps.fleet.order_log import OrderCache, OrderLog
+from m100link.apps.fleet.order_log import AuditLog, OrderCache, OrderLog
 from m100link.apps.fleet.orders import OrderService
 from m100link.apps.fleet.publisher import WALL_WITHIN_S, Thinner
 from m100link.errors import M100Error, NotAllowed, OutcomeUnknown, UsageError
@@ -55,6 +55,12 @@ _DISKS_S = 10.0
 _DUPLICATE_S = 2.0
 _READ_AT_ONCE_BYTES = 2048
 """Bytes of an order that is read at once: with its signature STOP has 300."""
+_MOST_NAME = 80
+_UNNOTED = (
+    *(orders.RenewLease, orders.AskVersion, orders.AskTakeOver),
+    *(payloads.AskShow, payloads.SendTrack),
+)
+"""Orders that change nothing are not in the audit log."""
 _MAX_LONG_ORDERS = 16
 _MOST_WAITING = 16
 """Questions about its mission; of a flood the oldest are dropped."""
@@ -98,10 +104,13 @@ class FleetAgent:
         utc: Callable[[], float] = time.time,  # POSIX time, s
         # Looks for room on the disks, which takes as long as they do; None: nothing is kept there.
         disks: Callable[[], M100Error | None] | None = None,
+        audit: AuditLog | None = None,
     ) -> None:
         self.client = client
         self._disks = disks
         self._disk_fault: RemoteError | None = None
+        self.audit = audit
+        self._refused_at = -math.inf
         self._bus = bus
         self._keys = keys
         self._order_log = order_log
@@ -317,12 +326,16 @@ class FleetAgent:
     async def _answer_order(self, key: str, question: Question) -> None:
         # The key of this aircraft, whatever pattern was asked: of several answers under one key
         # the network hands over one, and hides the other's failure.
+        order: payloads.OrderMessage | None = None
         try:
-            order: payloads.OrderMessage = payloads.unpack(payloads.OrderMessage, question.payload)
+            order = payloads.unpack(payloads.OrderMessage, question.payload)
             is_repeated = self._order_cache.heard(order.id, order.digest)
             if not is_repeated:
                 self._begin(order)
         except M100Error as error:
+            if self.client.now - self._refused_at >= 1.0:  # a flood fills no disk
+                self._refused_at = self.client.now
+                self.note_order(order, error)
             refused = self._reply("", error, clock=self.client.asked_at)
             question.answer(key, payloads.pack(refused))
             return
@@ -384,6 +397,17 @@ class FleetAgent:
     def _end(self, order: payloads.OrderMessage, error: M100Error | None, **more: Any) -> None:
         reply = self._reply(order.id, error, order=order.digest, **more)
         self._order_cache.end(reply, self.client.now)
+        self.note_order(order, error)
+
+    def note_order(self, order: payloads.OrderMessage | None, error: M100Error | None) -> None:
+        """Write an order and its outcome into the audit log."""
+        if self.audit is None or order is None or isinstance(order.order, _UNNOTED):
+            return
+        who = {"by": order.by[:_MOST_NAME], "signer": order.signer[:_MOST_NAME]}
+        what = getattr(order.order, "label", type(order.order).__name__)
+        outcome = payloads.Outcome.OK if error is None else payloads.outcome_of(error)
+        why = {} if error is None else {"why": error.seen}
+        self.audit.add({**who, "order": what, "outcome": outcome.value, **why, "id": order.id})
 
     def _reply(self, identity: str, error: M100Error | None, **more: Any) -> payloads.OrderReply:
         return payloads.OrderReply.done(identity, self._keys.name, self.boot, error, **more)

@@ -155,6 +155,18 @@ class FleetAircraft:
         """
         return await LogFetcher(self.asker).fetch(log, to, progress)
 
+    async def audit(self, number: int = 1) -> bytes:
+        """The lines of its audit log: who ordered what, the outcome, and when; each is signed.
+
+        Args:
+            number: That of the first line.
+
+        Raises:
+            UsageError: Its agent has no certificate.
+            Unreachable, NotAllowed: As :meth:`logs`.
+        """
+        return await LogFetcher(self.asker).audit(number)
+
     async def mission(self) -> MissionCard:
         """The state of its mission.
 

@@ -9,7 +9,9 @@ they are kept for as long again.
 from __future__ import annotations
 
 import asyncio
+import base64
 import fcntl
+import hashlib
 import json
 import logging
 import math
@@ -23,10 +25,12 @@ from pathlib import Path
 from typing import Any
 from zlib import crc32
 
+from m100link.apps.agent.background import TaskSet
 from m100link.apps.agent.messages import MessageError
 from m100link.apps.fleet.payloads import OrderReply
 from m100link.errors import UsageError
 from m100link.errors.texts import read_json
+from m100link.errors.usage import unread
 from m100link.link.keyfile import is_at, replace_file
 
 _logger = logging.getLogger(__name__)
@@ -293,6 +297,98 @@ class FileOrderLog:
                 os.close(handle)
         self._file = self._lock = -1
         self._in_thread.release()
+
+
+class AuditLog:
+    """Orders with signer, time and outcome: each line is signed, and has the digest of the last.
+
+    So :func:`m100link.apps.fleet.signing.audited` notices a line that was altered or removed. Half
+    of it is dropped when there are too many; an operator's copy has them still. A disk that takes
+    nothing costs no order: its lines are written with the next ones.
+    """
+
+    def __init__(
+        self,
+        path: Path | None,  # None: kept as long as the process lives, as for virtual aircraft
+        seal: tuple[bytes, Callable[[bytes], bytes]],  # certificate, DER, and its signature
+        utc: Callable[[], float],  # POSIX time, s
+    ) -> None:
+        self._path, self._sign, self._utc = path, seal[1], utc
+        self.tell: Callable[[str], None] = _logger.warning
+        self._waiting, self._background = b"", TaskSet()
+        self._writing: asyncio.Task[None] | None = None
+        data = b""
+        try:
+            if path is not None and path.exists():
+                data = path.read_bytes()
+        except OSError as error:
+            raise unread(path, error) from error
+        whole, _, half = data.rpartition(b"\n")
+        self._lines = whole.splitlines(keepends=True)
+        self._is_new = bool(half) or (path is not None and not data)  # by loss of power
+        if self._lines:
+            self._lines[-1] = self._lines[-1].removesuffix(b"\n") + b"\n"
+        self._newest = int(audit_facts(self._lines[-1]).get("number", 0)) if self._lines else 0
+        self.add({"certificate": base64.b64encode(seal[0]).decode()})
+
+    def add(self, facts: dict[str, Any]) -> None:
+        """Write a line; the disk gets it a moment later."""
+        self._newest += 1
+        before = audit_digest(self._lines[-1]) if self._lines else ""
+        said = {"number": self._newest, "before": before, "at": round(self._utc(), 3), **facts}
+        text = json.dumps(said).encode()
+        line = text + b"\t" + base64.b64encode(self._sign(text)) + b"\n"
+        self._lines.append(line)
+        if len(self._lines) > MOST_KEPT:
+            self._lines, self._is_new = self._lines[MOST_KEPT // 2 :], True
+        self._waiting += line
+        if self._path is not None and (self._writing is None or self._writing.done()):
+            self._writing = self._background.spawn(self._write(self._path), "audit log")
+
+    async def flush(self) -> None:
+        """Wait for the disk, not longer than the end of an agent may take."""
+        if self._writing is not None:
+            await asyncio.wait({self._writing}, timeout=_CLOSE_S)
+
+    async def _write(self, path: Path) -> None:
+        while self._waiting or self._is_new:
+            is_new, self._is_new = self._is_new, False
+            data, self._waiting = b"".join(self._lines) if is_new else self._waiting, b""
+            try:
+                await asyncio.to_thread(replace_file if is_new else _append, path, data)
+            except (OSError, RuntimeError, MemoryError) as error:
+                self._is_new = True  # a part of it may be there
+                self.tell(f"{path}: {error}: orders are not in the audit log until it is written")
+                return
+
+    def since(self, number: int, most: int) -> bytes:
+        """The lines from a number on, as many as go into so many bytes, at least one."""
+        first = self._newest - len(self._lines) + 1
+        found = b""
+        for line in self._lines[max(0, number - first) :]:
+            if found and len(found) + len(line) > most:
+                break
+            found += line
+        return found
+
+
+def _append(path: Path, data: bytes) -> None:
+    handle = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CLOEXEC)
+    try:
+        if os.write(handle, data) != len(data):
+            raise OSError("the disk is full")
+    finally:
+        os.close(handle)
+
+
+def audit_facts(line: bytes) -> dict[str, Any]:
+    """The facts of a line of the audit log, proved or not; empty where it cannot be read."""
+    facts = _json(line.rpartition(b"\t")[0].decode("utf-8", "replace")) or {}
+    return facts if type(facts.get("number")) is int else {}
+
+
+def audit_digest(line: bytes) -> str:
+    return hashlib.sha256(line).hexdigest()[:32]
 
 
 OrderLog = FileOrderLog | MemoryOrderLog

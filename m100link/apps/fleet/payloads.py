@@ -175,6 +175,7 @@ class What(Enum):
     LIST = "list"
     PIECE = "piece"
     DIGEST = "digest"  # SHA-256 of the first bytes
+    AUDIT = "audit"  # lines of the audit log, from the number in the offset on
 
 
 @dataclass(frozen=True, slots=True)

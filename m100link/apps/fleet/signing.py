@@ -7,6 +7,7 @@ trusting the router or any token.
 from __future__ import annotations
 
 import asyncio
+import base64
 import hashlib
 import json
 import logging
@@ -15,7 +16,7 @@ import os
 import struct
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Awaitable, Callable, Iterable, Mapping
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -33,10 +34,12 @@ from m100link.apps.bus.network import DEPTH, Bus, Held, Outlet, QueryAnswer, Que
 from m100link.apps.fleet.asking import Sign
 from m100link.apps.fleet.identity import Gate, Rights, Signer, Since, nobody
 from m100link.apps.fleet.keys import name_in
+from m100link.apps.fleet.order_log import audit_digest, audit_facts
 from m100link.apps.fleet.payloads import VERSION, OrderMessage
 from m100link.apps.fleet.revocations import Revocations, read_certificate
 from m100link.errors import UsageError
-from m100link.link.keyfile import read_key
+from m100link.errors.usage import unread
+from m100link.link.keyfile import read_key, replace_file
 
 if TYPE_CHECKING:
     from m100link.apps.fleet.agent import Verify
@@ -180,6 +183,75 @@ class Seal:
         certificate = self._certificate if is_shown else b""
         head = _HEAD.pack(SEALED, len(certificate), len(signature), self._stamp)
         return b"".join((head, certificate, signature, payload))
+
+    @property
+    def audit(self) -> tuple[bytes, Callable[[bytes], bytes]]:
+        """The certificate, and how it signs lines of an audit log."""
+        return self._certificate, lambda text: self._key.sign(_AUDIT + text, ec.ECDSA(SHA256()))
+
+
+_AUDIT = b"m100link audit 1\n"
+
+
+def audited(
+    data: bytes, name: str, authority: x509.Certificate
+) -> tuple[list[dict[str, Any]], list[str]]:
+    """The lines of an audit log that its aircraft has signed, and what is wrong with the others."""
+    found: list[dict[str, Any]] = []
+    wrong: list[str] = []
+    key, before, expected = None, "", 0
+    for line in data.splitlines(keepends=True):
+        facts, (text, _, signature) = audit_facts(line), line.rstrip(b"\n").rpartition(b"\t")
+        number = facts.get("number", expected)
+        try:
+            signed = base64.b64decode(signature, validate=True)
+            if "certificate" in facts:
+                key = _issued(name, base64.b64decode(str(facts["certificate"])), authority)
+            if not facts or key is None:
+                raise ValueError
+            key.verify(signed, _AUDIT + text, ec.ECDSA(SHA256()))
+        except (InvalidSignature, ValueError):
+            wrong.append(f"line {number} was altered: {name} has not signed it")
+        else:
+            if expected and number != expected:
+                wrong.append(f"lines {expected} to {number - 1} are missing")
+            elif expected and facts["before"] != before and not wrong:
+                wrong.append(f"line {number - 1} stands in the place of another one")
+            found.append(facts)
+        before, expected = audit_digest(line), number + 1
+    return found, wrong
+
+
+def _copy(path: Path) -> bytes:
+    path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+    return path.read_bytes() if path.exists() else b""
+
+
+async def merge_audit(
+    path: Path,  # the copy here; its folder is made
+    name: str,
+    fetch: Callable[[int], Awaitable[bytes]],  # the lines on board from a number on
+    authority: x509.Certificate,
+) -> tuple[list[dict[str, Any]], list[str]]:
+    """Bring a copy up to date; its lines, and what is wrong with it or with the log on board.
+
+    Raises UsageError: the copy cannot be read or written. Raises M100Error: as ``fetch``.
+    """
+    try:
+        copy = await asyncio.to_thread(_copy, path)
+        last = copy.splitlines(keepends=True)[-1:]
+        newest = int(audit_facts(last[0]).get("number", 1)) if last else 1
+        came = await fetch(newest)
+        missing = []
+        if last and not came.startswith(last[0]):
+            missing = [f"line {newest} is not on board as it was copied: altered, or removed"]
+        else:
+            copy += came[len(last[0]) :] if last else came
+            await asyncio.to_thread(replace_file, path, copy)
+    except OSError as error:
+        raise unread(path, error) from error
+    found, wrong = audited(copy, name, authority)
+    return found, [*wrong, *missing]
 
 
 def _nobody(*_: Any) -> None:

@@ -34,7 +34,7 @@ from m100link.apps.fleet.identity import (
 from m100link.apps.fleet.keys import DEFAULT_SITE, Keys, check_name, in_order
 from m100link.apps.fleet.logs.service import RATE, LogService
 from m100link.apps.fleet.lost_link import LostLinkPlan
-from m100link.apps.fleet.order_log import FileOrderLog, MemoryOrderLog, OrderLog
+from m100link.apps.fleet.order_log import AuditLog, FileOrderLog, MemoryOrderLog, OrderLog
 from m100link.apps.fleet.publisher import StatePublisher
 from m100link.apps.fleet.revocations import Revocations, RevocationService
 from m100link.apps.fleet.show.service import Beside, ShowService
@@ -140,11 +140,14 @@ def _services(
     verify, revocations = fleet.verify, fleet.revocations
     folder = None if settings.no_record else settings.record
     more: dict[str, Any] = {"verify": verify, "names": one.duplicates, "beside": others}
+    more["note"] = one.note_order
     show = ShowService(one.client, bus, keys, one.boot, **more)
     served: dict[str, Coroutine[Any, Any, None]] = {
         "fronts": StatePublisher(one.client, bus, keys, one.boot).run(),
         "show": show.run(),
-        "logs": LogService(bus, keys, folder, verify=verify, rate=fleet.log_rate).run(),
+        "logs": LogService(
+            bus, keys, folder, verify=verify, rate=fleet.log_rate, audit=one.audit
+        ).run(),
     }
     if revocations is not None:
         shut_out = (one.shut_out, lambda: show.shut_out(revocations.since))
@@ -181,6 +184,10 @@ async def _agent(
     kept = [fleet.order_logs, None if settings.no_record else settings.record]
     disks = partial(room, [folder for folder in kept if folder is not None])
     more: dict[str, Any] = {"lost": fleet.lost, "verify": fleet.verify, "revoked": revoked}
+    if seal := fleet.seals.get(keys.name):
+        kept_at = fleet.order_logs and fleet.order_logs / keys.site / f"{keys.name}.audit"
+        more["audit"] = AuditLog(kept_at, seal.audit, time.time)
+        stack.push_async_callback(more["audit"].flush)
     return FleetAgent(client, bus, keys, order_log, disks=disks, **more)
 
 

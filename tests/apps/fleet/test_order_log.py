@@ -5,16 +5,21 @@ from __future__ import annotations
 import asyncio
 import errno
 import os
+import stat
+from collections.abc import Callable
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 from zlib import crc32
 
 import pytest
+from cryptography import x509
 
 from m100link.apps.agent.messages import MessageError
 from m100link.apps.fleet.order_log import (
     FENCES_AT_ONCE,
     KEPT_S,
+    AuditLog,
     FileOrderLog,
     LastFlightRecord,
     Mark,
@@ -25,6 +30,9 @@ from m100link.apps.fleet.order_log import (
     words,
 )
 from m100link.apps.fleet.payloads import OrderReply, Outcome, Progress
+from m100link.apps.fleet.pki import Kind, init, issue
+from m100link.apps.fleet.revocations import Revocations
+from m100link.apps.fleet.signing import Seal, audited, merge_audit
 from m100link.errors import UsageError
 from tests.disk import Disk
 
@@ -593,3 +601,130 @@ def test_what_is_gone_is_counted(
 def test_a_mark_is_as_long_whatever_it_says() -> None:
     assert {len(bytes(Mark(newest, 1))) for newest in (0, 9, 10**9, 10**17)} == {len(MARK)}
     assert Mark.read(MARK) == Mark(9, 7)
+
+
+# -- the audit log: each line is signed by its aircraft, and names the one before ------------------
+
+
+@pytest.fixture
+def own(tmp_path: Path) -> tuple[Seal, x509.Certificate]:
+    now = datetime(2026, 11, 29, tzinfo=UTC)
+    init(tmp_path / "pki", now=now)
+    issue(tmp_path / "pki", Kind.AGENT, "a1", now=now)
+    return Seal.read(tmp_path / "pki", "a1"), Revocations.of_folder(tmp_path / "pki").authority
+
+
+def written(seal: Seal, path: Path | None = None, orders: int = 5) -> AuditLog:
+    log = AuditLog(path, seal.audit, lambda: 1_800_000_000.0)
+    for number in range(orders):
+        log.add({"by": "anna", "signer": "anna", "order": f"order {number}", "outcome": "ok"})
+    return log
+
+
+def test_a_log_that_nobody_touched_is_whole(own: tuple[Seal, x509.Certificate]) -> None:
+    data = written(own[0]).since(1, 1 << 20)
+    found, wrong = audited(data, "a1", own[1])
+    assert wrong == []
+    assert [facts["number"] for facts in found] == [1, 2, 3, 4, 5, 6]
+    assert [facts.get("order") for facts in found] == [None, *(f"order {n}" for n in range(5))]
+    assert found[1]["at"] == 1_800_000_000.0
+    assert written(own[0]).since(3, 1).count(b"\n") == 1, "one line goes whatever its length"
+    assert written(own[0]).since(7, 1 << 20) == b""
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda lines: [*lines[:2], *lines[4:]], ["lines 3 to 4 are missing"]),
+        (
+            lambda lines: [*lines[:2], lines[2].replace(b"anna", b"eve!"), *lines[3:]],
+            ["line 3 was altered: a1 has not signed it"],
+        ),
+        (
+            lambda lines: [*lines[:2], b"no line\n", *lines[3:]],
+            ["line 3 was altered: a1 has not signed it"],
+        ),
+        (lambda lines: lines[1:], ["line 2 was altered: a1 has not signed it"]),
+    ],
+)
+def test_a_line_that_was_altered_or_removed_is_named(
+    own: tuple[Seal, x509.Certificate],
+    change: Callable[[list[bytes]], list[bytes]],
+    said: list[str],
+) -> None:
+    lines = written(own[0]).since(1, 1 << 20).splitlines(keepends=True)
+    _, wrong = audited(b"".join(change(lines)), "a1", own[1])
+    assert wrong[: len(said)] == said
+
+
+def test_a_line_of_another_log_of_the_same_aircraft_is_named(
+    own: tuple[Seal, x509.Certificate],
+) -> None:
+    """Signed by the same key, in the place of the one with its number."""
+    lines = written(own[0]).since(1, 1 << 20).splitlines(keepends=True)
+    other = AuditLog(None, own[0].audit, lambda: 1_900_000_000.0)
+    other.add({"order": "another"})
+    lines[1] = other.since(2, 1 << 20)
+    _, wrong = audited(b"".join(lines), "a1", own[1])
+    assert wrong == ["line 1 stands in the place of another one"]
+
+
+def test_another_aircraft_or_authority_signs_nothing(
+    own: tuple[Seal, x509.Certificate], tmp_path: Path
+) -> None:
+    data = written(own[0], orders=1).since(1, 1 << 20)
+    assert len(audited(data, "a2", own[1])[1]) == 2
+    init(tmp_path / "other", now=datetime(2026, 11, 29, tzinfo=UTC))
+    other = Revocations.of_folder(tmp_path / "other").authority
+    assert len(audited(data, "a1", other)[1]) == 2
+
+
+async def test_the_next_agent_goes_on_behind_a_line_that_was_cut_off(
+    own: tuple[Seal, x509.Certificate], tmp_path: Path
+) -> None:
+    path = tmp_path / "a1.audit"
+    log = written(own[0], path)
+    await log.flush()
+    assert path.read_bytes() == log.since(1, 1 << 20)
+    assert stat.S_IMODE(path.stat().st_mode) == 0o600
+    with path.open("ab") as file:
+        file.write(b'{"number": 7, "by')
+    after = written(own[0], path, orders=1)
+    await after.flush()
+    found, wrong = audited(path.read_bytes(), "a1", own[1])
+    assert wrong == []
+    assert [facts["number"] for facts in found] == list(range(1, 9))
+
+
+async def test_a_disk_without_room_costs_no_line(
+    own: tuple[Seal, x509.Certificate], tmp_path: Path
+) -> None:
+    path = tmp_path / "none" / "a1.audit"
+    told: list[str] = []
+    log = written(own[0], path)
+    log.tell = told.append
+    await log.flush()
+    assert len(told) == 1
+    path.parent.mkdir()
+    log.add({"order": "later"})
+    await log.flush()
+    assert path.read_bytes() == log.since(1, 1 << 20)
+    assert log.since(1, 1 << 20).count(b"\n") == 7
+
+
+async def test_a_copy_is_brought_up_to_date_and_tells_what_became_less(
+    own: tuple[Seal, x509.Certificate], tmp_path: Path
+) -> None:
+    log, copy = written(own[0]), tmp_path / "copies" / "a1.audit"
+
+    async def fetch(number: int) -> bytes:
+        return log.since(number, 1 << 20)
+
+    assert (await merge_audit(copy, "a1", fetch, own[1]))[1] == []
+    log.add({"order": "later"})
+    found, wrong = await merge_audit(copy, "a1", fetch, own[1])
+    assert (len(found), wrong) == (7, [])
+    log = written(own[0], orders=2)  # somebody emptied it
+    found, wrong = await merge_audit(copy, "a1", fetch, own[1])
+    assert len(found) == 7
+    assert wrong == ["line 7 is not on board as it was copied: altered, or removed"]

@@ -449,8 +449,10 @@ async def test_a_session_of_a_fleet_meets_named_endpoints_alone(
     }
     assert (opening.patience_s, opening.is_patient) == (2.0, is_router)
     assert opening.remedies["client"] == (
-        "m100link fleet router --listen tcp/a:1, if none runs there"
+        "m100link fleet router --listen tcp/a:1, if none runs there; a router with certificates "
+        "wants tls/… and --identity"
     )
+    assert opening.remedies["router"] == "end the program that has tcp/b:2, or listen elsewhere"
 
 
 OLD = GuardRefused("too old", guard="order_age")

@@ -58,6 +58,16 @@ class LogFetcher:
         _, data = await self._ask(LogQuestion(What.LIST))
         return words.unpack_entries(data)
 
+    async def audit(self, number: int) -> bytes:
+        """See :meth:`m100link.apps.fleet.FleetAircraft.audit`."""
+        lines = b""
+        while True:
+            _, data = await self._ask(LogQuestion(What.AUDIT, "", number))
+            count = data.count(b"\n")
+            if not count:
+                return lines
+            lines, number = lines + data, number + count
+
     async def fetch(
         self, log: str = "", to: Path | str = "", progress: Progress | None = None
     ) -> Fetched:

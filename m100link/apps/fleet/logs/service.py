@@ -22,6 +22,7 @@ from m100link.apps.bus.network import Bus, Question
 from m100link.apps.fleet.agent import Verify, admit
 from m100link.apps.fleet.keys import Keys
 from m100link.apps.fleet.logs import words
+from m100link.apps.fleet.order_log import AuditLog
 from m100link.apps.fleet.payloads import LogQuestion, OrderMessage, What, outcome_of, unpack
 from m100link.errors import M100Error, UsageError
 from m100link.log.folder import LogDirectory
@@ -51,6 +52,7 @@ class LogService:
         # Looks at each question; without it the router alone decides who may ask.
         verify: Verify | None = None,
         rate: float = RATE,  # bytes a second, at most
+        audit: AuditLog | None = None,  # None: nothing is signed here
     ) -> None:
         if not rate > 0.0:
             raise UsageError(f"logs cannot leave at {rate:g} bytes/s", remedy="more than 0")
@@ -70,7 +72,9 @@ class LogService:
             What.LIST: self._list,
             What.PIECE: self._piece,
             What.DIGEST: self._digest,
+            What.AUDIT: self._lines,
         }
+        self._audit = audit
 
     async def run(self) -> None:
         with ExitStack() as stack:
@@ -137,6 +141,18 @@ class LogService:
         data, entry = await self._apart(lambda: self._directory.piece(log, offset, length))
         is_written = entry.is_written
         return self._reply(order, data, offset=offset, size=entry.size, is_written=is_written)
+
+    async def _lines(self, question: LogQuestion, order: OrderMessage) -> bytes:
+        if self._audit is None:
+            raise UsageError(
+                f"{self._keys.name} writes no audit log",
+                cause="its agent has no certificate to sign it by",
+                remedy="run it from a fleet file: m100link fleet up",
+            )
+        data = self._audit.since(question.offset, words.MOST_PIECE)
+        if again := await self._may_go(len(data)):
+            return self._reply(order, again_s=again)
+        return self._reply(order, data)
 
     async def _digest(self, question: LogQuestion, order: OrderMessage) -> bytes:
         """Of one log at a time: the client asks again until it is ready."""

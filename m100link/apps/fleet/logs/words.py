@@ -51,7 +51,8 @@ class LogReply:
 
 def require_possible(question: payloads.LogQuestion) -> None:
     """Refuse what names no log, or no part of one."""
-    if question.what is not payloads.What.LIST and not is_log_name(question.log):
+    of_log = question.what not in (payloads.What.LIST, payloads.What.AUDIT)
+    if of_log and not is_log_name(question.log):
         raise MessageError(
             f"{question.log[:80]!r} is no name of a log", remedy="m100link fleet log list NAME"
         )

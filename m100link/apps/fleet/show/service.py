@@ -63,12 +63,14 @@ class ShowService:
         names: DuplicateNames | None = None,
         # Other aircraft of the same session; None where it has one of its own.
         beside: Beside | None = None,
+        # Keeps an order and its outcome for the audit log.
+        note: Callable[[payloads.OrderMessage, M100Error | None], None] = lambda *_: None,
     ) -> None:
         self._client = client
         self._bus = bus
         self._keys = keys
         self._boot = boot
-        self._verify = verify
+        self._verify, self._note = verify, note
         self._duplicates = names
         self._beside = beside or Beside()
         self.performer = TrackExecutor(client, keys.name)
@@ -133,6 +135,7 @@ class ShowService:
                     self._known[digest] = None
                 except M100Error as error:
                     self._known[digest] = error
+                self._note(order, self._known[digest])
                 if len(self._known) > _MOST_KNOWN:
                     del self._known[next(iter(self._known))]
             fault = self._known[digest]

@@ -251,8 +251,8 @@ class TrackExecutor:
         moves = (0.0, 0.0, 0.0)
         if speed is not None:
             moves = speed.north_m_s, speed.east_m_s, speed.up_m_s
-        told = conflicts.by_speed(show.show, self._name, at, here, moves)
-        return replace(told, origin=track.origin)
+        ahead = conflicts.by_speed(show.show, self._name, at, here, moves)
+        return replace(ahead, origin=track.origin)
 
     def hear(self, ahead: conflicts.ConflictMonitor) -> None:
         """Another aircraft tells where it will be, in this show or in another one."""
