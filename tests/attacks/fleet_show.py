@@ -27,7 +27,8 @@ from functools import partial
 from itertools import combinations
 from pathlib import Path
 
-from m100link.apps.fleet.pki import Kind, init, issue
+from m100link.apps.fleet.identity import Rights
+from m100link.apps.fleet.pki import make
 from m100link.apps.fleet.show.plan.document import Show
 from m100link.apps.fleet.show.plan.track import TimedTrack, Vector
 from m100link.geodesy import LocalFrame
@@ -93,7 +94,7 @@ class Company:
     """Five aircraft at their places, and the processes beside them."""
 
     def __init__(self, stack: AsyncExitStack, folder: Path) -> None:
-        self._stack, self._folder = stack, folder
+        self._stack, self.file = stack, folder / "fleet.toml"
         self.aircraft: dict[str, VirtualAircraft] = {}
         self._urls: dict[str, str] = {}
         self.agents: dict[str, asyncio.subprocess.Process] = {}
@@ -105,8 +106,7 @@ class Company:
         self._environment = os.environ | {
             "M100LINK_APP_ID": str(DEMO_APP_ID),
             "M100LINK_KEY": DEMO_KEY.reveal().hex(),
-            "M100LINK_PKI": str(folder / "pki"),
-            "M100LINK_FLEET": self.place,
+            "M100LINK_FLEET": str(self.file),
             "XDG_STATE_HOME": str(folder),
         }
         self.show = folder / "show.json"
@@ -122,21 +122,15 @@ class Company:
         self._stack.callback(driver.stop)
 
     async def come(self) -> None:
-        """Certificates, rights, router and agents."""
-        now, pki = datetime.now(UTC), self._folder / "pki"
-        init(pki, now=now)
-        issue(pki, Kind.ROUTER, "base", now=now, hosts=["127.0.0.1"])
+        """Certificates, rights, router and agents, of one file."""
+        (host, port), text = self.place.removeprefix("tls/").split(":"), ""
+        text += f'[router.base]\nhosts = ["{host}"]\nport = {port}\n'
+        text += "".join(f'[aircraft.{name}]\nurl = "{self._urls[name]}"\n' for name in NAMES)
+        self.file.write_text(f'{text}[identity.anna]\nfly = ["*"]\n')
+        make(Rights.read(self.file), now=datetime.now(UTC))
+        await self._begun("up", str(self.file), "base", "--json")
         for name in NAMES:
-            issue(pki, Kind.AGENT, name, now=now)
-        key = issue(pki, Kind.PILOT, "anna", now=now).public_key
-        rights = self._folder / "rights.toml"
-        each = "".join(f"[aircraft.{name}]\n" for name in NAMES)
-        rights.write_text(f'{each}[identity.anna]\npublic_key = "{key}"\nfly = ["*"]\n')
-        secured = ("--rights", str(rights), "--json")
-        await self._begun("router", "--listen", self.place, "--name", "base", *secured)
-        for name in NAMES:
-            words = (self._urls[name], "--name", name, "--no-record", *secured)
-            self.agents[name] = await self._begun("agent", *words)
+            self.agents[name] = await self._begun("up", str(self.file), name, "--real", "--json")
 
     async def _begun(self, *words: str) -> asyncio.subprocess.Process:
         process = await self.start(*words)

@@ -206,7 +206,7 @@ def test_an_option_has_one_spelling_and_one_sentence() -> None:
         *("--firmware", "--folder"),
         *("--force", "--host", "--install", "--key", "--key-file", "--level", "--listen"),
         *("--max-height", "--max-radius", "--name", "--output", "--pki", "--rate", "--record"),
-        *("--rights", "--seed", "--speed", "--take-over", "--to", "--wait", "--yes"),
+        *("--seed", "--speed", "--take-over", "--to", "--wait", "--yes"),
     }
     seen: dict[str, tuple[object, ...]] = {}
     for verb, found in verbs():
