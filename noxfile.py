@@ -256,7 +256,7 @@ def tool(name: str, about: str, *lines: str | Line, groups: str = "", **env: str
 
 SLOW = "Measure which tests are slow, and write tests/slow.txt; on a quiet machine."
 BRIDGE = "MAVSDK in both its kinds and pymavlink fly through the bridge; 30 min, real time."
-NODE = "zenoh-ros2-sdk and plain zenoh fly the node, and are killed in flight; 10 min, real time."
+NODE = "rclpy of Jazzy and Kilted, zenoh-ros2-sdk and plain zenoh fly the node; 40 min, real time."
 UVLOOP = "The tests of the link on real ports and sockets, on uvloop's event loop."
 MUTATION = "Changes to the code that no test notices; minutes to hours. `-- wire` for one room."
 FAULTS = "What bad lines make of reliable commands, as a table; an hour. `-- --commands 1000` less."

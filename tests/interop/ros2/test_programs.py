@@ -37,9 +37,11 @@ pytestmark = pytest.mark.skipif(
 
 
 @contextmanager
-def started(*words: str, **more: Any) -> Iterator[subprocess.Popen[str]]:
+def started(
+    *words: str, python: str = sys.executable, **more: Any
+) -> Iterator[subprocess.Popen[str]]:
     with subprocess.Popen(
-        [sys.executable, "-W", "ignore", *words], stdout=subprocess.PIPE, text=True, **more
+        [python, "-W", "ignore", *words], stdout=subprocess.PIPE, text=True, **more
     ) as process:
         try:
             yield process
