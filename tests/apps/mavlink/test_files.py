@@ -37,6 +37,7 @@ TERMINATE, RESET, LIST, OPEN, READ, CREATE, WRITE, BURST, ACK, NAK = (
     128,
     129,
 )
+FTP = "FILE_TRANSFER_PROTOCOL"
 SESSION, NO_SESSIONS, EOF, UNKNOWN, PROTECTED, NOT_FOUND = 4, 5, 6, 7, 9, 10
 
 
@@ -355,6 +356,66 @@ async def test_sessions_that_nobody_uses_make_room(rig: Rig, ftp: Client) -> Non
     opened = [(await ftp.ask(OPEN, f"/log/{OLD}".encode())) for _ in range(4)]
     assert [one[0] for one in opened] == [ACK] * 3 + [NAK]
     assert opened[3][1] == bytes([NO_SESSIONS])
+
+
+# -- drawn questions of two peers ------------------------------------------------------------------
+
+PATHS = [
+    b"",
+    b"/",
+    b"log",
+    b"/log/",
+    b"../log",
+    b"log/../../x",
+    b"/log/\0x",
+    b"\xff/",
+    b"log/" * 59,
+]
+PATHS += [f"/log/{name}".encode() for name in (*SIZES, "notes.txt", ".")]
+
+
+@pytest.mark.parametrize(
+    "seed", [0, *(pytest.param(one, marks=pytest.mark.slow) for one in range(1, 40))]
+)
+async def test_drawn_questions_get_their_bytes_or_a_refusal(
+    rig: Rig, ground: Ground, caplog: pytest.LogCaptureFixture, seed: int
+) -> None:
+    """Whatever two peers ask at once: no byte of another file, no error, and a pace that holds."""
+    random, to = Random(seed), {"target_system": 1, "target_component": 1}
+    other = Ground(rig, ("127.0.0.1", 9), 77)
+    other.beat()
+    clients = [Client(rig, ground), Client(rig, other)]
+    places = (0, 1, 238, 239, 46_169, 46_170, 130_002, 130_003, 2**31, 2**32 - 1)
+    for _ in range(300):
+        one = random.choice(clients)
+        at, number = random.choice(places), random.choice((0, 1, 2, 3, 0xFFFF))
+        if random.random() < 0.6:
+            size = random.choice((None, None, 0, 1, 239, 240, 255))
+            data = random.choice((*PATHS, random.randbytes(random.randrange(100))))
+            ops = (random.randrange(256), TERMINATE, RESET, LIST, OPEN, OPEN, READ, READ, BURST)
+            session = random.choice((0, 1, 2, 3, 15, 255))
+            one.send(random.choice(ops), data, session=session, at=at, size=size)
+        elif random.random() < 0.5:
+            count = random.choice((0, 1, 90, 5000, 2**32 - 1))
+            one.ground.send("LOG_REQUEST_DATA", **to, id=number, ofs=at, count=count)
+        else:
+            one.ground.send("LOG_REQUEST_LIST", **to, start=number, end=random.choice((0, 1, 9)))
+        await anyio.sleep(random.choice((0.0, 0.001, 0.02, 0.1)))
+    await anyio.sleep(2.0)
+    for message in [*ground.all("LOG_DATA"), *other.all("LOG_DATA")]:
+        begin, count = message["ofs"], message["count"]
+        whole = content([OLD, NEW][message["id"]]) if message["id"] < 2 else b""
+        assert bytes(message["data"])[:count] == whole[begin : begin + count]
+    for message in [*ground.all(FTP), *other.all(FTP)]:
+        _, _, kind, size, op, _, _, at = struct.unpack_from("<H6BI", bytes(message["payload"]))
+        data = bytes(message["payload"])[12 : 12 + size]
+        if kind == ACK and op in (READ, BURST):
+            assert data in [content(name)[at : at + size] for name in SIZES]
+        assert b"secret" not in data
+    assert len(rig.vehicle.files._sessions) <= 8
+    assert [one for one in caplog.records if one.levelname == "ERROR"] == []
+    clients[0].send(RESET)
+    assert (await clients[0].answers())[-1][2] == ACK
 
 
 # -- sixteen peers at once -------------------------------------------------------------------------
