@@ -140,13 +140,13 @@ class FileService:
         async with self._disk:
             now = asyncio.get_running_loop().time()
             if self._seen is None or now - self._seen[0] >= _LOOKED_S:
-                found = await asyncio.to_thread(self._directory.entries, _MOST_LOGS)
-                self._seen = now, found[::-1]
-                self._folders = self._listing(self._seen[1])
+                entries, self._folders = await asyncio.to_thread(self._look)
+                self._seen = now, entries
             return self._seen[1]
 
-    def _listing(self, entries: list[LogEntry]) -> dict[str, list[bytes]]:
-        """What ListDirectory says of each folder."""
+    def _look(self) -> tuple[list[LogEntry], dict[str, list[bytes]]]:
+        """The logs, and what ListDirectory says of each folder. Takes as long as the disk."""
+        entries = self._directory.entries(_MOST_LOGS)[::-1]
         sizes = {path: len(data) for path, data in self.made.items()}
         sizes |= {f"{_FOLDER}/{entry.log}": entry.size for entry in entries}
         folders: dict[str, list[bytes]] = {"": [], _FOLDER: []}
@@ -156,7 +156,7 @@ class FileService:
         for folder in sorted(folders.keys() - {""}, reverse=True):
             above, _, name = folder.rpartition("/")
             folders.setdefault(above, []).insert(0, f"D{name}\0".encode())
-        return folders
+        return entries, folders
 
     async def _piece(self, log: str, at: int, size: int) -> tuple[bytes, int]:
         """Bytes of a log, and its size now. Raises UsageError: it is not there."""
