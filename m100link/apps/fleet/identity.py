@@ -10,7 +10,9 @@ import hashlib
 import ipaddress
 import json
 import math
+import os
 import re
+import stat
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
@@ -191,11 +193,18 @@ class Rights:
         """
         try:
             with Path(path).open("rb") as file:
+                mode = stat.S_IMODE(os.fstat(file.fileno()).st_mode)
                 data = read_watched(file, Path(path), _LARGEST + 1)
         except OSError as error:
             raise BadRights(
                 f"{path} cannot be read: {error.strerror}", remedy="check its name"
             ) from error
+        if mode & stat.S_IWOTH:
+            raise BadRights(
+                f"{path} can be written by everybody (mode {mode:o})",
+                cause="every user of this computer could give rights to anybody",
+                remedy=f"chmod o-w {path}",
+            )
         if len(data) > _LARGEST:
             raise BadRights(f"{path} is too large for a fleet file", remedy="1 MiB at most")
         try:
@@ -251,6 +260,9 @@ class Rights:
             *(("identity", name, one.common_name) for name, one in people.items()),
         ]
         for place, (kind, name, common_name) in enumerate(entries):
+            if name == "console" and kind != "identity":
+                seen = f"{'an aircraft' if kind == 'aircraft' else 'a router'} is named console"
+                raise _Wrong(seen, kind, name, remedy="so `fleet up` names the console")
             if common_name in [other for _, _, other in entries[:place]] or common_name == "ca":
                 raise _Wrong(
                     f"two entries have the common name {common_name}",

@@ -382,6 +382,8 @@ def test_names_keys_and_common_names_are_as_the_file_says() -> None:
         ('[identity.anna]\npublic_key = "12"', "public_key of anna is '12'"),
         ("[aircraft.a1]\n[identity.a1]", "two entries have the common name a1"),
         ('[identity.x]\n[identity.y]\ncommon_name = "x"', "two entries have the common name x"),
+        ("[aircraft.console]", "line 1: an aircraft is named console"),
+        ("[router.console]\nhosts = ['x']", "line 1: a router is named console"),
         ("[aircraft.ca]", "two entries have the common name ca"),
         ('[aircraft."../../x"]', "line 1: aircraft is '../../x'"),
         ('[aircraft."a\\u001b[2J"]', "line 1: aircraft is 'a\\x1b[2J'"),
@@ -458,6 +460,10 @@ def test_files_that_cannot_be_read_are_named(tmp_path: Path) -> None:
         Rights.read(tmp_path / "rights.toml")
     (tmp_path / "rights.toml").write_text(FILE)
     assert Rights.read(tmp_path / "rights.toml") == Rights.parse(FILE)
+    (tmp_path / "rights.toml").chmod(0o646)
+    with pytest.raises(BadRights, match="can be written by everybody"):
+        Rights.read(tmp_path / "rights.toml")
+    (tmp_path / "rights.toml").chmod(0o644)
     (tmp_path / "rights.toml").write_bytes(b"#" * (1024 * 1024 + 1))
     with pytest.raises(BadRights, match="too large"):
         Rights.read(tmp_path / "rights.toml")
