@@ -6,6 +6,7 @@ import uuid
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
+from types import SimpleNamespace
 from typing import Any
 
 import anyio
@@ -688,3 +689,33 @@ async def test_a_card_says_before_the_first_order_that_there_are_no_credentials(
     assert fault.error().seen == "this station has no app id and key"
     assert "--app-id" in (fault.error().remedy or "")
     assert cards["a2"].fault is None
+
+
+# -- who ordered what -----------------------------------------------------------------------------
+
+
+async def test_each_order_and_its_outcome_is_in_the_audit_log(rig: Rig) -> None:
+    """No question, no renewal; of a flood of refused orders one a second."""
+    lines: list[dict[str, Any]] = []
+    log: Any = SimpleNamespace(add=lines.append)
+
+    def verify(order: OrderMessage, boot: str) -> None:
+        if order.by == "eve":
+            raise NotAllowed("eve may not stop a1")
+
+    await rig.aircraft("a1", audit=log, verify=verify)
+    ada, eve = await rig.pilot("ada"), await rig.pilot("eve")
+    await ada["a1"].take_off()
+    assert [(line["by"], line["order"], line["outcome"]) for line in lines] == [
+        ("ada", what, "ok")
+        for what in ("acquire lease", "activate", "obtain", "take off", "release lease")
+        if what in {line["order"] for line in lines}
+    ]
+    assert {"acquire lease", "take off", "release lease"} <= {line["order"] for line in lines}
+    lines.clear()
+    for _ in range(5):
+        with pytest.raises(NotAllowed):
+            await eve["a1"].stop()
+    refused = [(line["by"], line["order"], line["outcome"], line["why"]) for line in lines]
+    assert refused == [("eve", "stop", "not_allowed", "eve may not stop a1")] * len(refused)
+    assert 1 <= len(refused) < 5

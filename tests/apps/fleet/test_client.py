@@ -41,7 +41,7 @@ ORDERS: dict[str, orders.Order | None] = {
     "take_off": orders.TakeOff(),
     "land": orders.Land(),
     "stop": orders.Stop(),
-    **dict.fromkeys(("logs", "fetch_log", "mission", "card")),
+    **dict.fromkeys(("logs", "fetch_log", "audit", "mission", "card")),
 }
 
 
