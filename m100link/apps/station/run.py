@@ -15,13 +15,12 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-from m100link.aircraft.replaying import parse_replay
 from m100link.apps.agent import transports
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.messages import Event
 from m100link.apps.agent.server.agent import Agent
 from m100link.apps.agent.server.connection import Connect, by_driver, by_url, envelope_of
-from m100link.apps.agent.server.replays import Replays
+from m100link.apps.agent.server.replays import Replays, file_of
 from m100link.apps.agent.server.server import AgentServer
 from m100link.apps.station.config import MOST_AIRCRAFT, ONLY_NAME, Settings
 from m100link.apps.station.listeners import (
@@ -272,7 +271,7 @@ async def _front_process(
     """The process of the fronts, which loads them while the agents connect."""
     descriptors = sockets.descriptors()
     recordings = [
-        (str(parse_replay(one.url).path.absolute()), one.firmware or "")
+        (file_of(one.url), one.firmware or "")
         for one in aircraft
         if one.url is not None and one.is_replay and "console" in descriptors
     ]
