@@ -192,13 +192,18 @@ class FlightLog:
     def __repr__(self) -> str:
         return f"<flight log {self.path}>"
 
-    def messages(self, *topics: str) -> Iterator[Message]:
+    def messages(self, *topics: str, pause_s: float = 0.0) -> Iterator[Message]:
         """All messages, or those of some topics, in the order in which they were written.
 
         A file that was cut off ends with the last that is whole; parts whose checksum is wrong are
         passed over, which :attr:`damage` tells.
+
+        Args:
+            topics: Which; none at all: every topic.
+            pause_s: Pass over the parts, each of half a second, that end within so many s after
+                one that was read.
         """
-        return self._messages(topics)
+        return self._messages(topics, pause_s=pause_s)
 
     @property
     def damage(self) -> Damage:
@@ -209,19 +214,22 @@ class FlightLog:
         assert self._damage is not None
         return self._damage
 
-    def _messages(self, topics: Sequence[str], since_utc: float = 0.0) -> Iterator[Message]:
+    def _messages(
+        self, topics: Sequence[str], since_utc: float = 0.0, pause_s: float = 0.0
+    ) -> Iterator[Message]:
         """The same; parts of the file that end before a time are passed over."""
         names: dict[int, str] = {}
         losses = Losses()
         make = tuple.__new__
         with self._open() as stream:
-            for record in records(stream, topics, round(since_utc * 1e9), losses):
+            since_ns, pause_ns = round(since_utc * 1e9), round(pause_s * 1e9)
+            for record in records(stream, topics, since_ns, losses, pause_ns):
                 if type(record) is RawMessage:
                     channel, _, utc_ns, at_ns, data = record
                     yield make(Message, (names[channel], at_ns / 1e9, utc_ns / 1e9, data))
                 elif type(record) is RecordedChannel:
                     names[record.id] = record.topic
-        if self._damage is None and since_utc <= 0.0:
+        if self._damage is None and since_utc <= 0.0 and pause_s <= 0.0:
             damage = losses.damage()
             is_written = not damage.is_ended and is_being_written(self.path)
             self._damage = replace(damage, is_written=is_written)

@@ -131,9 +131,10 @@ def records(
     since_ns: int = 0,  # parts that end before it are passed over, POSIX time in ns
     # Counts the missing messages of all topics when all were read.
     losses: Losses | None = None,
+    pause_ns: int = 0,  # parts that end so soon after one that was read are passed over
 ) -> Iterator[Record]:
     """Every record of a file that can be read, in the order in which they were written."""
-    return _Reader(stream, topics, losses).records(since_ns)
+    return _Reader(stream, topics, losses).records(since_ns, pause_ns)
 
 
 def by_index(stream: IO[bytes], topic: str) -> tuple[list[RawMessage], Any] | None:
@@ -186,7 +187,7 @@ class _Reader:
         self._is_summary_whole = False
         self._counted: dict[int, int] = {}
 
-    def records(self, since_ns: int) -> Iterator[Record]:
+    def records(self, since_ns: int, pause_ns: int = 0) -> Iterator[Record]:
         for at, kind, body in self._outer():
             if kind != _CHUNK:
                 yield from self._outside(at, kind, body)
@@ -199,6 +200,8 @@ class _Reader:
             except Exception:  # noqa: BLE001 - whatever unpacking bytes of chance raises
                 self._losses.place(at, at + _HEAD.size + len(body))
                 continue  # the next one may be whole
+            if pause_ns:
+                since_ns = _chunk_head(body)[1] + pause_ns
             yield from self._inside(inside)
 
     def _outer(self) -> Iterator[tuple[int, int, bytes]]:

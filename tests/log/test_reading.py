@@ -7,6 +7,7 @@ import json
 import random
 import tracemalloc
 from collections import Counter
+from itertools import pairwise
 from operator import itemgetter
 from pathlib import Path
 from typing import Any
@@ -347,6 +348,18 @@ def test_parts_that_end_before_a_time_are_passed_over(tmp_path: Path) -> None:
     assert late[-1] == 39.0
     assert 9 <= len(late) <= 14
     assert not log.damage
+
+
+def test_parts_soon_after_one_that_was_read_are_passed_over(tmp_path: Path) -> None:
+    rows = [(0.1 * n, RX, bytes([n]) * 50) for n in range(200)]
+    log = read(made(tmp_path / "long.mcap", *rows, part_size=400))  # half a second
+    assert len(list(log.messages(RX, pause_s=0.0))) == 200
+    times = [one.at for one in log.messages(RX, pause_s=2.0)]
+    pauses = [after - before for before, after in pairwise(times)]
+    # The next part that is read ends two seconds later or more.
+    assert all(pause == pytest.approx(0.1) or 1.5 <= pause <= 2.1 for pause in pauses)
+    assert 6 <= sum(pause > 1.0 for pause in pauses) <= 10
+    assert not log.damage  # what was passed over is not missing
 
 
 def test_rare_messages_are_found_by_the_index_or_by_reading_all(tmp_path: Path) -> None:

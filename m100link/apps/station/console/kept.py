@@ -358,7 +358,7 @@ def _outline(flight: FlightLog, interval_s: float) -> Recorded:
     first = next(flight.messages(), Message("", 0.0, 0.0, b""))
     story.began_utc = first.utc
     newest: dict[type[Any], tuple[float, Any]] = {}
-    for message in flight.messages(TELEMETRY):
+    for message in flight.messages(TELEMETRY, pause_s=interval_s / 2):
         at = message.at - first.at
         if at < due_s and b'"battery.' not in message.data:  # once a second, and in few rows
             continue
@@ -381,10 +381,11 @@ def _outline(flight: FlightLog, interval_s: float) -> Recorded:
 
 
 _CHILD = (
-    "import gc, signal, sys; gc.disable(); "  # it makes no circles, and walks through many tuples
+    "import gc, os, signal, sys; gc.disable(); "  # it makes no circles, and walks many tuples
     "signal.signal(signal.SIGPIPE, signal.SIG_DFL); "  # nobody waits for it any more
     "from m100link.apps.station.console.kept import analyse, send; "
-    "send(analyse(*sys.argv[1:], send))"
+    # The page that shows the outline comes first.
+    "send(analyse(*sys.argv[1:], lambda found: (send(found), os.nice(10))))"
 )
 
 _begun: dict[str, subprocess.Popen[bytes]] = {}  # by file, until somebody asks for the analysis
