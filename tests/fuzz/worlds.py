@@ -87,7 +87,6 @@ from tests.apps.agent.conftest import task_of
 from tests.apps.agent.examples import EXAMPLES as ORDERS
 from tests.apps.fleet.conftest import SITE
 from tests.apps.fleet.conftest import Rig as FleetRig
-from tests.apps.fleet.logs.conftest import AtOnce
 from tests.apps.fleet.show.shows import track
 from tests.apps.fleet.test_agent import in_the_air
 from tests.apps.mavlink.conftest import Ground
@@ -562,7 +561,7 @@ async def on_board() -> AsyncIterator[Take]:
         await asyncio.sleep(2.0)
         still, spawn = Still(one.aircraft), one.agent.background.spawn
         spawn(ShowService(one.client, one.bus, _KEYS, "run").run(), "shows")
-        spawn(LogService(one.bus, _KEYS, folder, apart=AtOnce()).run(), "logs")
+        spawn(LogService(one.bus, _KEYS, folder).run(), "logs")
         await asyncio.sleep(0.01)
         stranger = rig.network.session()
         answers: list[bytes] = []

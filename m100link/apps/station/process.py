@@ -15,7 +15,6 @@ while, and ends. It loads nothing that could own an aircraft.
 from __future__ import annotations
 
 import asyncio
-import json
 import os
 import sys
 from collections.abc import Sequence
@@ -32,6 +31,7 @@ from m100link.apps.station.listeners import FRONTS, Fronts, Sockets, serving_fro
 from m100link.apps.station.log_output import log_of, tell_elsewhere
 from m100link.apps.station.supervisor import answer, end_with_parent, leave_what_stays, run_child
 from m100link.errors import UsageError
+from m100link.errors.texts import read_json
 from m100link.sim.orders import orders_by_socket
 
 LEASES_PER_START = 1_000_000
@@ -125,5 +125,5 @@ def _load(niceness: int, fronts: Sequence[str], recordings: Sequence[Sequence[st
 if __name__ == "__main__":
     role, *loads = sys.argv[1:]
     if loads:
-        _load(*json.loads(loads[0]))
+        _load(*read_json(loads[0].encode()))
     sys.exit(run_child({"agent": _own, "fronts": _serve, "part": _part}[role]))
