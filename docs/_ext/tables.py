@@ -54,7 +54,7 @@ if TYPE_CHECKING:
 try:
     from docutils import nodes
     from docutils.statemachine import StringList
-    from sphinx.util.docutils import SphinxDirective
+    from sphinx.util.docutils import SphinxDirective as SphinxDirective
 except ImportError:  # `m100link docs` shows the rows of tables where the builder is not installed
     SphinxDirective = object  # type: ignore[assignment,misc]  # it has rows all the same
 

@@ -236,7 +236,7 @@ async def up(
 
             running = running_parts(file, parts, note, is_real=real)
         async with running as facts:
-            found = facts if len(parts) > 1 else dict.fromkeys(parts, facts)
+            found: dict[str, Any] = facts if len(parts) > 1 else dict.fromkeys(parts, facts)
             lines = [f"{key}: {value}" for one in found.values() for key, value in one.items()]
             kind = "real" if real else "virtual"
             lines = [line for line in lines if not line.startswith("agent")]

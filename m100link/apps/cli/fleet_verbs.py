@@ -34,7 +34,7 @@ from m100link.apps.cli.fleet import (
     tell_results,
 )
 from m100link.apps.cli.fleet_plans import missions, shows
-from m100link.apps.cli.fleet_setup import acl, agent, console, make, pki, router, up
+from m100link.apps.cli.fleet_setup import acl, agent, console, doctor, make, pki, router, up
 from m100link.apps.cli.options import Above0, AtMost, group
 from m100link.apps.cli.terminal import ExitCode, ReaderGone, print_json
 from m100link.apps.fleet.client import Fleet, FleetAircraft
@@ -484,19 +484,6 @@ class _Shown:
 
 # -- in the order of their help --------------------------------------------------------------------
 
-for _verb in (
-    make,
-    up,
-    router,
-    agent,
-    console,
-    monitor,
-    watch,
-    lease,
-    missions,
-    log,
-    shows,
-    pki,
-    acl,
-):
+_PARTS = make, up, doctor, router, agent, console
+for _verb in (*_PARTS, monitor, watch, lease, missions, log, shows, pki, acl):
     app.command(_verb)

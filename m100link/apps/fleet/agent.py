@@ -90,6 +90,8 @@ def admit(
 
 
 class FleetAgent:
+    _disk_fault: RemoteError | None = None
+
     def __init__(
         self,
         client: AgentClient,  # what knows its agent
@@ -108,7 +110,6 @@ class FleetAgent:
     ) -> None:
         self.client = client
         self._disks = disks
-        self._disk_fault: RemoteError | None = None
         self.audit = audit
         self._refused_at = -math.inf
         self._bus = bus
@@ -326,16 +327,17 @@ class FleetAgent:
     async def _answer_order(self, key: str, question: Question) -> None:
         # The key of this aircraft, whatever pattern was asked: of several answers under one key
         # the network hands over one, and hides the other's failure.
-        order: payloads.OrderMessage | None = None
+        heard: payloads.OrderMessage | None = None
         try:
             order = payloads.unpack(payloads.OrderMessage, question.payload)
+            heard = order
             is_repeated = self._order_cache.heard(order.id, order.digest)
             if not is_repeated:
                 self._begin(order)
         except M100Error as error:
             if self.client.now - self._refused_at >= 1.0:  # a flood fills no disk
                 self._refused_at = self.client.now
-                self.note_order(order, error)
+                self.note_order(heard, error)
             refused = self._reply("", error, clock=self.client.asked_at)
             question.answer(key, payloads.pack(refused))
             return

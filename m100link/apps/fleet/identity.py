@@ -386,17 +386,18 @@ def _settings(table: Mapping[str, Any], *here: str) -> dict[str, Any]:
     """The settings of an aircraft, or of all of them."""
     known = [name for name in _WANTED if here != ("defaults",) or name != "url"]
     _refuse_unknown(table, (*known, "common_name")[: None if len(here) > 1 else -1], *here)
+    *_, whose = here
     for name, value in table.items():
-        is_number = type(value) in (int, float) and 0 <= value < math.inf
+        number = value if type(value) in (int, float) else math.nan
         is_right = {
             "url": isinstance(value, str) and value.isprintable() and value != "",
             "firmware": value in tuple(PROFILES),
             "baud_rate": type(value) is int and value > 0,
             "lost": value in ("hover", "land", "home"),
-            "lost_after": is_number and value <= 3600,
-        }.get(name, is_number and value > 0)
+            "lost_after": 0 <= number <= 3600,
+        }.get(name, 0 < number < math.inf)
         if not is_right:
-            raise _Wrong(f"{name} of {here[-1]} is {value!r}", *here, name, remedy=_WANTED[name])
+            raise _Wrong(f"{name} of {whose} is {value!r}", *here, name, remedy=_WANTED[name])
     return dict(table)
 
 

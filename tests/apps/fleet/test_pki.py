@@ -155,7 +155,7 @@ def test_nobody_else_reads_them(folder: Path) -> None:
     issue(folder, Kind.ROUTER, "base", now=NOW, hosts=["base"])
     files = sorted(folder.iterdir())
     assert [path.name for path in files] == [
-        *("anna.key", "anna.pem", "anna.signing.key"),
+        *("anna.key", "anna.pem", "anna.pub", "anna.signing.key"),
         *("base.key", "base.pem", "ca.key", "ca.pem"),
     ]
     assert {stat.S_IMODE(path.stat().st_mode) for path in files} == {0o600}

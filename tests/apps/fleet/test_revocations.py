@@ -507,7 +507,9 @@ class Served:
 
     def __init__(self) -> None:
         self.bus, self.cut_off, self.notes = MagicMock(), list[int](), list[tuple[str, str]]()
-        self.list: Any = MagicMock(number=3, on_change=[], keep=AsyncMock(), look=AsyncMock())
+        self.list: Any = MagicMock(
+            number=3, rights=None, on_change=[], keep=AsyncMock(), look=AsyncMock()
+        )
         shut_out = [lambda: self.cut_off.append(1), lambda: self.cut_off.append(2)]
         self.service = RevocationService(
             *(self.bus, KITE, "boot", self.list),
