@@ -384,9 +384,9 @@ def _is_host(host: object) -> bool:
 
 def _settings(table: Mapping[str, Any], *here: str) -> dict[str, Any]:
     """The settings of an aircraft, or of all of them."""
+    whose = here[-1]
     known = [name for name in _WANTED if here != ("defaults",) or name != "url"]
     _refuse_unknown(table, (*known, "common_name")[: None if len(here) > 1 else -1], *here)
-    *_, whose = here
     for name, value in table.items():
         number = value if type(value) in (int, float) else math.nan
         is_right = {
