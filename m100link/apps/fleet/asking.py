@@ -507,7 +507,7 @@ def believed(
         raise errors.OutcomeUnknown(
             f"two answers of {keys.name} to one order disagree",
             cause="a stranger answers in its name",
-            remedy="look at the aircraft; a router with --rights keeps strangers out",
+            remedy="look at the aircraft; a router with the rules of a fleet file stops strangers",
         )
     if replies and replies[0].order not in (b"", digest):
         raise errors.OutcomeUnknown(

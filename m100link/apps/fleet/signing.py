@@ -163,12 +163,12 @@ class Seal:
             raise UsageError(
                 f"{name} has no certificate and key in {folder}: {error}",
                 cause="each aircraft signs what it says by the certificate of its own name",
-                remedy="m100link fleet make makes them",
+                remedy="make them: m100link fleet make fleet.toml",
             ) from error
         if not isinstance(key, ec.EllipticCurvePrivateKey):
             raise UsageError(
                 f"{folder / name}.key is no key of this program",
-                remedy="m100link fleet make makes them",
+                remedy="make them: m100link fleet make fleet.toml",
             )
         return cls(key, certificate)
 

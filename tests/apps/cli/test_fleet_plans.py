@@ -69,7 +69,7 @@ def test_a_flight_that_was_ended_from_here_is_no_success(
     monkeypatch.setattr(fleet_plans, "read_plan", MagicMock())
     monkeypatch.setattr(fleet_plans._Show, "tell", MagicMock(side_effect=ends))
     monkeypatch.setattr(fleet_plans._Show, "stopped", lambda _: "it hovers")
-    options: Any = SimpleNamespace(json_output=False, site="", open=lambda: aircraft)
+    options: Any = SimpleNamespace(json_output=False, place="", open=lambda: aircraft)
     assert fleet_plans.fly("a1", "plan.json", yes=True, options=options) == status
 
 

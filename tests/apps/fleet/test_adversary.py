@@ -709,4 +709,4 @@ async def test_an_aircraft_signs_by_a_certificate_of_its_own_name(tmp_path: Path
     pki.init(tmp_path, now=now)
     with pytest.raises(UsageError, match="a1 has no certificate") as caught:
         Seal.read(tmp_path, "a1")
-    assert caught.value.remedy == "m100link fleet pki issue agent a1"
+    assert caught.value.remedy == "make them: m100link fleet make fleet.toml"
