@@ -254,16 +254,16 @@ class Rights:
             own = {key: value for key, value in table.items() if key != "common_name"}
             settings[name] = {**defaults, **_settings(own, *here)}
         people = {name: _identity(name, one) for name, one in _tables(found, "identity").items()}
-        entries = [
+        known: dict[str, tuple[str, ...]] = {"ca": ()}
+        for kind, name, common_name in (
             *(("router", name, name) for name in routers),
             *(("aircraft", name, common_name) for name, common_name in aircraft.items()),
             *(("identity", name, one.common_name) for name, one in people.items()),
-        ]
-        for place, (kind, name, common_name) in enumerate(entries):
+        ):
             if name == "console" and kind != "identity":
                 seen = f"{'an aircraft' if kind == 'aircraft' else 'a router'} is named console"
                 raise _Wrong(seen, kind, name, remedy="so `fleet up` names the console")
-            if common_name in [other for _, _, other in entries[:place]] or common_name == "ca":
+            if known.setdefault(common_name, (kind, name)) != (kind, name):
                 raise _Wrong(
                     f"two entries have the common name {common_name}",
                     kind,
@@ -274,7 +274,7 @@ class Rights:
                 )
         console = _table(found, "console")
         _refuse_unknown(console, _CONSOLE, "console")
-        if console and console.get("identity") not in people:
+        if console and console.get("identity") not in list(people):
             raise _Wrong(
                 f"identity of the console is {console.get('identity')!r}",
                 *("console", "identity"),
