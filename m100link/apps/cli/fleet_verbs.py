@@ -385,9 +385,8 @@ async def audit(
     folder = state_folder() / "audit" / check_name(options.place, "a site") if to is None else to
     authority = Revocations.of_folder(options.folder).authority
 
-    async def one(aircraft: FleetAircraft) -> tuple[list[dict[str, Any]], list[str]]:
-        path = folder / f"{aircraft.name}.audit"
-        return await merge_audit(path, aircraft.name, aircraft.audit, authority)
+    async def one(it: FleetAircraft) -> tuple[list[dict[str, Any]], list[str]]:
+        return await merge_audit(folder / f"{it.name}.audit", it.name, it.audit, authority)
 
     results = await results_of(names, everybody, options, one)
     merged = {name: one.value for name, one in results.items() if isinstance(one.value, tuple)}

@@ -384,7 +384,10 @@ def _append(path: Path, data: bytes) -> None:
 def audit_facts(line: bytes) -> dict[str, Any]:
     """The facts of a line of the audit log, proved or not; empty where it cannot be read."""
     facts = _json(line.rpartition(b"\t")[0].decode("utf-8", "replace")) or {}
-    return facts if type(facts.get("number")) is int else {}
+    texts = [facts.get(one, "") for one in ("before", "order", "signer", "by", "outcome")]
+    is_line = all(isinstance(one, str) for one in texts) and _is_fence(facts.get("number"))
+    has_time = type(facts.get("at")) is float and 0 <= facts["at"] < 1 << 33
+    return {"signer": "", "by": "", "outcome": ""} | facts if is_line and has_time else {}
 
 
 def audit_digest(line: bytes) -> str:

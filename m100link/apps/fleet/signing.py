@@ -204,18 +204,17 @@ def audited(
         facts, (text, _, signature) = audit_facts(line), line.rstrip(b"\n").rpartition(b"\t")
         number = facts.get("number", expected)
         try:
-            signed = base64.b64decode(signature, validate=True)
             if "certificate" in facts:
                 key = _issued(name, base64.b64decode(str(facts["certificate"])), authority)
             if not facts or key is None:
                 raise ValueError
-            key.verify(signed, _AUDIT + text, ec.ECDSA(SHA256()))
+            key.verify(base64.b64decode(signature, None, True), _AUDIT + text, ec.ECDSA(SHA256()))
         except (InvalidSignature, ValueError):
             wrong.append(f"line {number} was altered: {name} has not signed it")
         else:
             if expected and number != expected:
                 wrong.append(f"lines {expected} to {number - 1} are missing")
-            elif expected and facts["before"] != before and not wrong:
+            elif expected and facts.get("before") != before and not wrong:
                 wrong.append(f"line {number - 1} stands in the place of another one")
             found.append(facts)
         before, expected = audit_digest(line), number + 1
@@ -239,19 +238,18 @@ async def merge_audit(
     """
     try:
         copy = await asyncio.to_thread(_copy, path)
-        last = copy.splitlines(keepends=True)[-1:]
-        newest = int(audit_facts(last[0]).get("number", 1)) if last else 1
+        last = b"".join(copy.splitlines(keepends=True)[-1:])
+        newest = audit_facts(last).get("number", 1)
         came = await fetch(newest)
-        missing = []
-        if last and not came.startswith(last[0]):
-            missing = [f"line {newest} is not on board as it was copied: altered, or removed"]
-        else:
-            copy += came[len(last[0]) :] if last else came
+        is_there = came.startswith(last)
+        if is_there:
+            copy += came[len(last) :]
             await asyncio.to_thread(replace_file, path, copy)
     except OSError as error:
         raise unread(path, error) from error
     found, wrong = audited(copy, name, authority)
-    return found, [*wrong, *missing]
+    gone = f"line {newest} of {path} is not on board: altered, removed, or of a virtual run before"
+    return found, wrong if is_there else [*wrong, gone]
 
 
 def _nobody(*_: Any) -> None:

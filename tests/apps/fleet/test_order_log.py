@@ -669,6 +669,21 @@ def test_a_line_of_another_log_of_the_same_aircraft_is_named(
     assert wrong == ["line 1 stands in the place of another one"]
 
 
+@pytest.mark.parametrize(
+    "odd",
+    [{"before": None}, {"before": [1]}, {"at": "x"}, {"at": 1e300}, {"order": [1]}, {"number": -5}],
+)
+def test_a_line_that_an_aircraft_signs_and_no_agent_writes_is_named(
+    own: tuple[Seal, x509.Certificate], odd: dict[str, object]
+) -> None:
+    """The key of one aircraft in wrong hands keeps nobody from reading the logs of the others."""
+    log = written(own[0], orders=0)
+    log.add({"order": "an order"} | odd)
+    found, wrong = audited(log.since(1, 1 << 20), "a1", own[1])
+    assert len(found) == 1
+    assert wrong == ["line 2 was altered: a1 has not signed it"]
+
+
 def test_another_aircraft_or_authority_signs_nothing(
     own: tuple[Seal, x509.Certificate], tmp_path: Path
 ) -> None:
@@ -727,4 +742,5 @@ async def test_a_copy_is_brought_up_to_date_and_tells_what_became_less(
     log = written(own[0], orders=2)  # somebody emptied it
     found, wrong = await merge_audit(copy, "a1", fetch, own[1])
     assert len(found) == 7
-    assert wrong == ["line 7 is not on board as it was copied: altered, or removed"]
+    seen = f"line 7 of {copy} is not on board: altered, removed, or of a virtual run before"
+    assert wrong == [seen]
