@@ -14,6 +14,7 @@ from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import asynccontextmanager, contextmanager
 from functools import partial
 from importlib import import_module
+from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Generic, TypeVar
@@ -38,11 +39,8 @@ _PROFILES = """<profiles xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Prof
 </discovery_config></builtin></rtps></participant>
 <data_writer profile_name="m100link" is_default_profile="true"><times><{period}>
 <nanosec>200000000</nanosec></{period}></times></data_writer></profiles>"""
-"""Of Fast DDS, where its defaults are too slow for a flight.
-
-Others know for 20 s of a node that was killed, and it asks its listeners every 3 s whether they
-have everything.
-"""
+"""Of Fast DDS, where its defaults are too slow for a flight: others know for 20 s of a node that
+was killed, and it asks its listeners every 3 s whether they have everything."""
 
 _PERIOD = {
     "FASTRTPS_DEFAULT_PROFILES_FILE": "heartbeatPeriod",  # Fast DDS 2: Jazzy
@@ -91,10 +89,16 @@ class _Polled(Generic[T]):
 
 def _some(take: Callable[[], T | None], depth: int) -> list[T]:
     """So many at most of what is taken one by one."""
-    found: list[T] = []
-    while len(found) < depth and (one := take()) is not None:
-        found.append(one)
-    return found
+    return list(islice(iter(take, None), depth))
+
+
+def _asked(ask: Callable[..., list[T]], *of: str, **more: bool) -> list[T]:
+    """An answer of rclpy about the graph; empty where a name in it cannot be read."""
+    try:
+        return ask(*of, **more)
+    except (RuntimeError, ValueError) as error:  # rclpy's own, and of a name that is no UTF-8
+        _logger.debug("the graph cannot be read: %s", error)
+        return []
 
 
 class _Outlet(Outlet):
@@ -138,8 +142,8 @@ class DdsBus:
         self._clients: dict[bytes, str] = {}  # tokens by the gids of those clients
         # Topics and services whose types are not built here, by the package of those types.
         self.missing: dict[str, list[str]] = {}
-        self._rcl = ctypes.CDLL("librcl.so")  # which rclpy has loaded
-        self._rcl.rcl_take_serialized_message.argtypes = [ctypes.c_void_p] * 4
+        self._take = ctypes.CDLL("librcl.so").rcl_take_serialized_message  # rclpy has loaded it
+        self._take.argtypes = [ctypes.c_void_p] * 4
         self._taken, self._info = _Bytes(), _Info()
         default = ctypes.CDLL("librcutils.so").rcutils_get_default_allocator
         default.restype = _Allocator
@@ -185,9 +189,8 @@ class DdsBus:
         parts = {f"{kind}_{half}": getattr(found, half) for half in halves} or {kind: found}
         for name, one in parts.items():
             if package == OWN_PACKAGE:
-                ours = decode(
-                    name.replace("/msg/", "/"), self._rclpy.serialization.serialize_message(one())
-                )
+                empty = self._rclpy.serialization.serialize_message(one())
+                ours = decode(name.replace("/msg/", "/"), empty)
                 if list(ours) != list(one.get_fields_and_field_types()):
                     raise ValueError(f"{name} is built of an older definition")
         return found
@@ -231,9 +234,7 @@ class DdsBus:
     def _received(self, end: Any) -> Received | None:
         """The oldest that waits. rclpy hides its sender; rcl, below it, does not."""
         taken, info = self._taken, self._info
-        if self._rcl.rcl_take_serialized_message(
-            end.handle.pointer, ctypes.byref(taken), ctypes.byref(info), None
-        ):
+        if self._take(end.handle.pointer, ctypes.byref(taken), ctypes.byref(info), None):
             return None
         is_read = 0 < taken.length <= self._largest
         payload = ctypes.string_at(taken.buffer, taken.length) if is_read else b""
@@ -242,9 +243,8 @@ class DdsBus:
 
     def questions(self, key: str, depth: int) -> Inbox[Question]:
         end = self._end(key)
-        return _Polled(
-            partial(_some, partial(self._question, end, key) if end else _nothing, depth)
-        )
+        take = partial(self._question, end, key) if end else _nothing
+        return _Polled(partial(_some, take, depth))
 
     def _question(self, end: Any, key: str) -> Question | None:
         serialization, kind = self._rclpy.serialization, end.srv_type
@@ -275,19 +275,20 @@ class DdsBus:
         def look() -> list[TokenChange]:
             nonlocal known
             before, known = known, set(self._others())
-            gone = [TokenChange(one, False) for one in before - known]
-            return [*gone, *(TokenChange(one, True) for one in known - before)]
+            changed = sorted(before ^ known, key=known.__contains__)  # those that are gone first
+            return [TokenChange(one, one in known) for one in changed]
 
         return _Polled(look)
 
     def _others(self) -> Iterator[str]:
         for full, node in self._nodes.items():
-            there = node.get_node_names_and_namespaces()
+            there = _asked(node.get_node_names_and_namespaces)
             if [f"{where.rstrip('/')}/{name}" for name, where in there].count(full) > 1:
                 yield NodeName(self._domain, "1", node.get_namespace(), node.get_name()).token
         node, clients = next(iter(self._nodes.values())), {}
+        ask = node.get_subscriptions_info_by_topic
         for goals, kind in self._goals.items():
-            for one in node.get_subscriptions_info_by_topic(f"rr{goals}Reply", no_mangle=True):
+            for one in _asked(ask, f"rr{goals}Reply", no_mangle=True):
                 gid = bytes(one.endpoint_gid)
                 who = NodeName(self._domain, gid[:12].hex(), one.node_namespace, one.node_name)
                 number = int.from_bytes(gid[12:], "big")
@@ -303,9 +304,8 @@ class DdsBus:
     def probe(self, key: str, *, timeout: float) -> Inbox[bool]:
         """Whether each listener to the feedback of goals has all of it.
 
-        DDS misses a program that was killed after 10 to 20 s, by the leases of Cyclone and Fast
-        DDS. Until then that program acknowledges nothing. Nobody answers where a program that runs
-        would take seconds for it, too: then the lease decides.
+        A program that was killed acknowledges nothing; DDS misses it after 10 to 20 s. Nobody
+        answers where a program that runs would take seconds for it, too: then the lease decides.
         """
         now, ends = self._rclpy.duration.Duration(), self._feedback
 

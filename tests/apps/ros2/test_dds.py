@@ -342,6 +342,27 @@ async def test_clients_of_goals_and_namesakes_are_tokens(rclpy: Rclpy) -> None:
         )
 
 
+async def test_a_name_in_the_graph_that_cannot_be_read_ends_nothing(rclpy: Rclpy) -> None:
+    """Anybody may write bytes there that rclpy takes for UTF-8: seen with Cyclone, as 0xff 0xfe."""
+    async with dds.open_dds(7, LARGEST) as bus:
+        bus.declare(NAME.token)
+        declared(bus, EntityKind.SERVER, SEND, "m100_msgs/action/FlyTo_SendGoal")
+        [node], changes = rclpy.nodes, bus.changes("@ros2_lv/7/**")
+        asker = SimpleNamespace(endpoint_gid=list(range(16)), node_namespace="/", node_name="pilot")
+        node.listening[f"rr{SEND}Reply"] = [asker]
+
+        def unreadable(*_: str, **__: bool) -> Any:
+            return b"\xff\xfe".decode()
+
+        with rclpy.monkeypatch.context() as patched:
+            patched.setattr(node, "get_node_names_and_namespaces", unreadable)
+            [there] = changes.take()
+            assert there.is_there, "clients of goals are told, whatever nodes are called"
+            patched.setattr(node, "get_subscriptions_info_by_topic", unreadable)
+            assert changes.take() == [TokenChange(there.key, False)], "unknown: its goal ends"
+        assert changes.take() == [there]
+
+
 async def test_who_listens_to_feedback_and_takes_none_does_not_answer(rclpy: Rclpy) -> None:
     async with dds.open_dds(7, LARGEST) as bus:
         bus.declare(NAME.token)
