@@ -329,18 +329,22 @@ class AuditLog:
         if self._lines:
             self._lines[-1] = self._lines[-1].removesuffix(b"\n") + b"\n"
         self._newest = int(audit_facts(self._lines[-1]).get("number", 0)) if self._lines else 0
-        self.add({"certificate": base64.b64encode(seal[0]).decode()})
+        self._certificate = {"certificate": base64.b64encode(seal[0]).decode()}
+        self.add(self._certificate)
 
     def add(self, facts: dict[str, Any]) -> None:
         """Write a line; the disk gets it a moment later."""
         self._newest += 1
+        half = MOST_KEPT // 2
+        if self._newest % half == 1:  # where it is cut later: what is left can be verified
+            facts = facts | self._certificate
         before = audit_digest(self._lines[-1]) if self._lines else ""
         said = {"number": self._newest, "before": before, "at": round(self._utc(), 3), **facts}
         text = json.dumps(said).encode()
         line = text + b"\t" + base64.b64encode(self._sign(text)) + b"\n"
         self._lines.append(line)
         if len(self._lines) > MOST_KEPT:
-            self._lines, self._is_new = self._lines[MOST_KEPT // 2 :], True
+            self._lines, self._is_new = self._lines[-half - self._newest % half :], True
         self._waiting += line
         if self._path is not None and (self._writing is None or self._writing.done()):
             self._writing = self._background.spawn(self._write(self._path), "audit log")

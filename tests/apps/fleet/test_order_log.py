@@ -669,6 +669,20 @@ def test_a_line_of_another_log_of_the_same_aircraft_is_named(
     assert wrong == ["line 1 stands in the place of another one"]
 
 
+@pytest.mark.parametrize("count", [20, 21, 29, 30, 31, 57])
+async def test_what_is_left_of_a_long_audit_log_can_be_verified(
+    own: tuple[Seal, x509.Certificate], monkeypatch: pytest.MonkeyPatch, count: int
+) -> None:
+    monkeypatch.setattr("m100link.apps.fleet.order_log.MOST_KEPT", 20)
+    log = AuditLog(None, own[0].audit, lambda: 1_900_000_000.0)
+    for number in range(2, count + 1):
+        log.add({"order": "stop", "signer": "anna", "by": "", "outcome": f"n{number}"})
+    found, wrong = audited(log.since(1, 1 << 20), "a1", own[1])
+    assert wrong == []
+    assert 10 <= len(found) <= 20
+    assert [one["number"] for one in found] == list(range(count - len(found) + 1, count + 1))
+
+
 @pytest.mark.parametrize(
     "odd",
     [{"before": None}, {"before": [1]}, {"at": "x"}, {"at": 1e300}, {"order": [1]}, {"number": -5}],
