@@ -357,7 +357,7 @@ async def test_a_name_in_the_graph_that_cannot_be_read_ends_nothing(rclpy: Rclpy
         with rclpy.monkeypatch.context() as patched:
             patched.setattr(node, "get_node_names_and_namespaces", unreadable)
             [there] = changes.take()
-            assert there.is_there, "clients of goals are told, whatever nodes are called"
+            assert there.is_there, "a client of a goal is found beside a bad node name"
             patched.setattr(node, "get_subscriptions_info_by_topic", unreadable)
             assert changes.take() == [TokenChange(there.key, False)], "unknown: its goal ends"
         assert changes.take() == [there]

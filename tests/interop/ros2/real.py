@@ -215,7 +215,7 @@ class Checks(Program):
         names = [one.name for one in told.type_description.type_description.fields]
         assert names[:2] == ["header", "phase"]
 
-    # -- what is told ----------------------------------------------------------------------------
+    # -- what the node reports ------------------------------------------------------------------
 
     def rates_are_as_told(self) -> None:
         for topic, pause in (("/m100/imu", 0.02), ("/m100/odom", 0.02), ("/m100/fix", 0.1)):
@@ -423,7 +423,7 @@ def checks() -> None:
             continue
         try:
             check(program)
-        except Exception as error:  # noqa: BLE001 - it is told
+        except Exception as error:  # noqa: BLE001 - the report names it
             print(f"no {name}: {error!r}", flush=True)
         else:
             print(f"ok {name}", flush=True)
