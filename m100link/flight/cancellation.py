@@ -193,13 +193,13 @@ class ShieldedTask:
 
 NUMBERS: tuple[signal.Signals, ...] = tuple(
     getattr(signal, name)
-    for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGXCPU")
+    for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGXCPU", "SIGBREAK")
     if hasattr(signal, name)
 )
 """By which a person, a terminal, a service manager or the kernel ends a program: all of them are
 taken. SIGUSR1, SIGUSR2, SIGALRM, SIGVTALRM, SIGPROF and SIGIO end a program as well, but one that
 has them sent mostly handles them in C (faulthandler, profilers), which Python cannot see: to take
-them would break that, or end a flight at a tick of a profiler."""
+them would break that, or end a flight at a tick of a profiler. SIGBREAK is Windows' own."""
 
 # Seconds without a pass of the event loop after which a second Ctrl-C interrupts the program; a
 # loop that runs takes the stop path (page on safety).

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import signal
+import sys
 import time
 from collections.abc import Callable, Coroutine, Iterable, Iterator
 from contextlib import contextmanager, suppress
@@ -179,3 +181,22 @@ def goes_on(what: str) -> Iterator[None]:
 
 def ignore(*_: object) -> None:
     """Nobody wants to hear it."""
+
+
+def when_signalled(act: Callable[[], object], *names: str) -> None:
+    """Call ``act`` in the running event loop when one of these signals comes.
+
+    A system lacks some. Ctrl-Break of Windows, where nobody sends SIGTERM, is always among them.
+    """
+    loop = asyncio.get_running_loop()
+
+    def look() -> None:  # no signal wakes a loop that waits there
+        loop.call_later(0.2, look)
+
+    if sys.platform == "win32":
+        look()
+    for number in (getattr(signal, name) for name in (*names, "SIGBREAK") if hasattr(signal, name)):
+        if sys.platform == "win32":
+            signal.signal(number, lambda *_: loop.is_closed() or loop.call_soon_threadsafe(act))
+        else:
+            loop.add_signal_handler(number, act)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import os
-import signal
 from collections.abc import Callable, Coroutine, Iterable, Mapping
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -13,6 +12,7 @@ from cyclopts import Parameter
 from rich.console import Console
 from rich.text import Text
 
+from m100link.apps.agent.background import when_signalled
 from m100link.apps.cli.configuration import read_configuration
 from m100link.apps.cli.options import Above0, offered, options_of
 from m100link.apps.cli.terminal import AS_IT_IS, ExitCode, LogOptions, panel
@@ -278,9 +278,7 @@ class Ended(asyncio.Event):
     def __init__(self) -> None:
         super().__init__()
         self._beginning = asyncio.current_task()
-        loop = asyncio.get_running_loop()
-        for number in (signal.SIGINT, signal.SIGTERM):
-            loop.add_signal_handler(number, self._tell)
+        when_signalled(self._tell, "SIGINT", "SIGTERM")
 
     def _tell(self) -> None:
         self.set()

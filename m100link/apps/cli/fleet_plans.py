@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import signal
 import sys
 from collections.abc import Awaitable, Callable
 from dataclasses import asdict, dataclass
@@ -12,6 +11,7 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
+from m100link.apps.agent.background import when_signalled
 from m100link.apps.agent.orders import AskVersion, Order, UploadPlan
 from m100link.apps.cli.common import err, out, run_async
 from m100link.apps.cli.fleet import (
@@ -74,9 +74,9 @@ def fly(
         _confirm(name, found, take_off=take_off or found.take_off)
 
     async def run() -> int:
-        loop, here = asyncio.get_running_loop(), asyncio.current_task()
+        here = asyncio.current_task()
         assert here is not None
-        loop.add_signal_handler(signal.SIGTERM, here.cancel)
+        when_signalled(here.cancel, "SIGTERM")
         try:
             async with options.open() as fleet, fleet[name].control(take_over=take_over) as control:
                 with shared(options.place, name, control.proof):

@@ -7,7 +7,6 @@ import contextlib
 import csv as csv_module
 import json
 import os
-import signal
 import sys
 import time
 from codecs import StreamWriter, getwriter
@@ -19,6 +18,7 @@ from typing import IO, Annotated, Any, TextIO
 from cyclopts import Parameter
 
 from m100link.aircraft import Aircraft
+from m100link.apps.agent.background import when_signalled
 from m100link.apps.cli.common import BY_LINK, LinkOptions, Url, err, out
 from m100link.apps.cli.display import Items, items_named, reading, status
 from m100link.apps.cli.options import OUTPUT, AsJson, AtMost, Firmware, Json, group
@@ -360,9 +360,7 @@ async def record(
     recorder = Recorder(output, rate_hz=rate)
     lost: LinkError | None = None
     ended = asyncio.Event()  # by SIGTERM, or a closed terminal
-    loop = asyncio.get_running_loop()
-    for number in (signal.SIGTERM, signal.SIGHUP):
-        loop.add_signal_handler(number, ended.set)
+    when_signalled(ended.set, "SIGTERM", "SIGHUP")
     try:
         async with place.connect(recorder) as aircraft:
             err.print(f"recording {place.url} into {recorder.path}; Ctrl-C ends it")

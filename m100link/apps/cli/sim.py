@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import os
 import secrets
-import signal
 import sys
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -17,6 +16,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
+from m100link.apps.agent.background import when_signalled
 from m100link.apps.cli.common import out, until
 from m100link.apps.cli.options import Above0, AsJson, On, Simulated, group, options_of
 from m100link.apps.cli.terminal import (
@@ -256,9 +256,7 @@ def _read_address(text: str) -> tuple[str, int]:
 
 async def _serve(plan: _Plan) -> int:
     ended = asyncio.Event()
-    loop = asyncio.get_running_loop()
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        loop.add_signal_handler(number, ended.set)
+    when_signalled(ended.set, "SIGINT", "SIGTERM", "SIGHUP")
     drivers = [Driver(aircraft) for aircraft in plan.aircraft]
     servers: list[TcpServer] = []
     control = CtlServer(plan.aircraft)

@@ -18,6 +18,7 @@ from contextlib import asynccontextmanager, suppress
 from dataclasses import asdict
 from typing import Any
 
+from m100link.apps.agent.background import when_signalled
 from m100link.apps.agent.messages import RemoteError
 from m100link.apps.station.log_output import LogOutput, in_force, writing_log
 from m100link.errors import M100Error
@@ -195,8 +196,7 @@ def run_child(work: Callable[[dict[str, Any], asyncio.Event], Awaitable[None]]) 
 
     async def run() -> None:
         ended = asyncio.Event()
-        for number in (signal.SIGINT, signal.SIGTERM):
-            asyncio.get_running_loop().add_signal_handler(number, ended.set)
+        when_signalled(ended.set, "SIGINT", "SIGTERM")
         await work(request, ended)
 
     try:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import signal
 
 import pytest
 
@@ -14,8 +15,10 @@ from m100link.apps.agent.background import (
     call_each,
     goes_on,
     is_set_within,
+    when_signalled,
 )
 from m100link.errors import LinkLost
+from tests.waiting import PATIENCE
 
 pytestmark = pytest.mark.anyio
 
@@ -197,3 +200,13 @@ def test_what_was_used_already_has_to_be_waited_for() -> None:
     assert one.wait(0.0) == pytest.approx(4.0)
     assert one.wait(3.0) == pytest.approx(1.0)
     assert one.wait(5.0) == 0.0
+
+
+async def test_a_signal_acts_in_the_loop_and_one_that_the_system_lacks_is_passed_over() -> None:
+    came = asyncio.Event()
+    when_signalled(came.set, "SIGUSR2", "SIGNONE")
+    try:
+        signal.raise_signal(signal.SIGUSR2)
+        assert await is_set_within(came, PATIENCE)
+    finally:
+        asyncio.get_running_loop().remove_signal_handler(signal.SIGUSR2)
