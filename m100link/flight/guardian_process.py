@@ -47,7 +47,7 @@ _IDLE_MS = 60_000
 
 _Frames = list[tuple[int, bytes]]  # pause before it in ms, bytes
 
-_CLOCK = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)  # goes on while the computer sleeps
+_CLOCK = getattr(time, "CLOCK_BOOTTIME", 0)  # of Linux: it goes on while the computer sleeps
 
 
 def milliseconds() -> int:

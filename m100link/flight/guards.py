@@ -511,7 +511,8 @@ class GuardKeeper:
 # -- detect that the computer slept: the event loop's clock stopped, the aircraft did not ----------
 
 
-_WITH_SLEEP = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)  # on macOS the other one
+# On macOS the other one counts sleep, too, on Windows that of `time.monotonic`.
+_WITH_SLEEP = getattr(time, "CLOCK_BOOTTIME", getattr(time, "CLOCK_MONOTONIC", None))
 _NOTICED_S = 0.1
 _READINGS = 3
 
@@ -519,11 +520,16 @@ SUSPENDED_S = 1.0
 """Seconds by which what was sent during a suspend may seem to be from after it."""
 
 
+def since_boot_s() -> float:
+    """Return the seconds since the computer started, also those for which it was suspended."""
+    return time.monotonic() if _WITH_SLEEP is None else time.clock_gettime(_WITH_SLEEP)
+
+
 def asleep_s() -> float:
     """Return the seconds for which the computer was suspended since it started, plus a constant."""
     # In this order: a process that is stopped between the two readings makes the result smaller, so
     # no sleep is seen where there was none.
-    with_sleep = time.clock_gettime(_WITH_SLEEP)
+    with_sleep = since_boot_s()
     return with_sleep - time.monotonic()
 
 

@@ -18,7 +18,6 @@ import math
 import os
 import re
 import threading
-import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -31,6 +30,7 @@ from m100link.apps.fleet.payloads import OrderReply
 from m100link.errors import UsageError
 from m100link.errors.texts import read_json
 from m100link.errors.usage import unread
+from m100link.flight.guards import since_boot_s
 from m100link.link.keyfile import is_at, replace_file
 
 _logger = logging.getLogger(__name__)
@@ -60,7 +60,7 @@ def since_boot() -> tuple[str, float]:
         boot = Path("/proc/sys/kernel/random/boot_id").read_text("ascii").strip()
     except OSError:
         boot = ""  # no two of these are taken for the same
-    return boot, time.clock_gettime(time.CLOCK_BOOTTIME)
+    return boot, since_boot_s()
 
 
 class MemoryOrderLog:
