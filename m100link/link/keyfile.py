@@ -15,6 +15,7 @@ import logging
 import os
 import secrets
 import stat
+import sys
 from pathlib import Path
 from typing import IO
 from zlib import crc32
@@ -113,6 +114,26 @@ def is_at(handle: int, path: Path) -> bool:
         return os.path.samestat(os.fstat(handle), path.stat())
     except FileNotFoundError:
         return False
+def locks(handle: int) -> bool:
+    """Have an open file alone until it is closed, or the process ends; False: another program has.
+
+    Raises ``UsageError``: this is Windows. Raises ``OSError``: the file system has no locks.
+    """
+    if sys.platform == "win32":
+        raise UsageError(
+            "on Windows m100link cannot keep two programs from writing the same files",
+            cause="it knows the file locks of POSIX alone",
+            remedy="run this part of a fleet on Linux or macOS",
+        )
+    import fcntl
+
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
+
+
 
 
 def keep_names(folder: Path) -> None:

@@ -25,6 +25,7 @@ from typing import IO, TYPE_CHECKING, Any
 from m100link.errors import UsageError
 from m100link.errors.texts import read_path
 from m100link.link import Direction, Link
+from m100link.link.keyfile import locks
 from m100link.log.channels import CHUNKS, FIX, LINK, RX, SCHEMAS, TX, Entry, FrameInterpreter
 from m100link.log.records import PART_SIZE, mcap_module, registered
 from m100link.protocol.firmware import FirmwareProfile
@@ -396,14 +397,8 @@ def is_being_written(path: Path) -> bool:
 def _lock(stream: IO[bytes]) -> bool:
     """Have the file for ourselves until it is closed, or the process is killed."""
     try:
-        import fcntl
-    except ModuleNotFoundError:  # Windows removes no file that somebody has open
-        return True
-    try:
-        fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    except OSError as error:  # a file system without locks
+        return locks(stream.fileno())
+    except (OSError, UsageError) as error:  # a file system without locks, or Windows
         _logger.debug("a log without a lock: %s", error)
     return True
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import asyncio
 import base64
-import fcntl
 import hashlib
 import json
 import logging
@@ -31,7 +30,7 @@ from m100link.errors import UsageError
 from m100link.errors.texts import read_json
 from m100link.errors.usage import unread
 from m100link.flight.guards import since_boot_s
-from m100link.link.keyfile import is_at, replace_file
+from m100link.link.keyfile import is_at, locks, replace_file
 
 _logger = logging.getLogger(__name__)
 
@@ -137,16 +136,14 @@ class FileOrderLog:
     def _own(self) -> None:
         # By a file of its own: the log is replaced as it is read.
         self._path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-        lock = os.open(self._lock_path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
+        lock = os.open(self._lock_path, os.O_RDWR | os.O_CREAT, 0o600)
+        if not locks(lock):
             os.close(lock)
             raise UsageError(
                 f"{self._path}: another agent has it",
                 cause="two agents of one name run on this computer",
                 remedy="end the other one, or name another folder by --order-log",
-            ) from None
+            )
         self._lock, before = lock, self._lock
         if before >= 0:
             os.close(before)
@@ -272,7 +269,7 @@ class FileOrderLog:
         lines = [seal(number, first, one) for number, one in enumerate(self._needed(), first)]
         replace_file(self._path, "".join(lines).encode())
         self._first, self._newest = first, first + len(lines) - 1
-        self._file, before = os.open(self._path, os.O_RDWR | os.O_CLOEXEC), self._file
+        self._file, before = os.open(self._path, os.O_RDWR), self._file
         self._size = os.fstat(self._file).st_size
         if before >= 0:
             os.close(before)
@@ -377,7 +374,7 @@ class AuditLog:
 
 
 def _append(path: Path, data: bytes) -> None:
-    handle = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CLOEXEC)
+    handle = os.open(path, os.O_WRONLY | os.O_APPEND)
     try:
         if os.write(handle, data) != len(data):
             raise OSError("the disk is full")

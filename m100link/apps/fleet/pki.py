@@ -6,11 +6,11 @@ the files; existing files are never overwritten without ``force``. The caller gi
 
 from __future__ import annotations
 
-import fcntl
 import ipaddress
 import os
 import re
 import secrets
+import sys
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -43,7 +43,7 @@ from m100link.apps.fleet.revocations import (
     sign_revoked,
 )
 from m100link.errors import UsageError
-from m100link.link.keyfile import read_token, replace_file
+from m100link.link.keyfile import locks, read_token, replace_file
 
 ISSUED_DAYS = 30
 RENEWED_DAYS = 10
@@ -254,20 +254,21 @@ def make(rights: Rights, *, now: datetime, renews: bool = False) -> dict[str, da
 @contextmanager
 def _alone(folder: Path) -> Iterator[None]:
     """Two at once would make two authorities."""
+    if sys.platform == "win32":
+        locks(-1)  # raises: no folder can be opened there, either
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        handle = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
+        handle = os.open(folder, os.O_RDONLY)
     except OSError as error:
         raise BadAuthority(
             f"{folder} cannot be made: {error.strerror}", remedy=_ELSEWHERE
         ) from error
     try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        if not locks(handle):
+            raise BadAuthority(
+                f"another program makes certificates in {folder}", remedy="wait until it has ended"
+            )
         yield
-    except BlockingIOError:
-        raise BadAuthority(
-            f"another program makes certificates in {folder}", remedy="wait until it has ended"
-        ) from None
     finally:
         os.close(handle)
 

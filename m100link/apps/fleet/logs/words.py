@@ -6,7 +6,6 @@ it the bytes of a log as they are.
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import os
 import threading
@@ -21,7 +20,7 @@ from m100link.apps.agent.messages import MessageError, RemoteError
 from m100link.apps.fleet import payloads
 from m100link.errors import UsageError
 from m100link.errors.texts import read_path
-from m100link.link.keyfile import is_at, keep_names
+from m100link.link.keyfile import is_at, keep_names, locks
 from m100link.log.folder import LogEntry, is_log_name
 
 MOST_PIECE = 256 * 1024
@@ -129,13 +128,11 @@ class LogPart:
 
     def _locked(self) -> FileIO:
         file = FileIO(self.path, "a+")
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
+        if not locks(file.fileno()):
             file.close()
             raise UsageError(
                 f"{self.path}: another program fetches it", remedy="wait until it has ended"
-            ) from None
+            )
         return file
 
     def add(self, data: bytes) -> None:
