@@ -56,6 +56,11 @@ def read_token(path: Path) -> str:
     return _text(_read(path, "token"), path, "token").strip()
 
 
+def mode_of(file: IO[bytes]) -> int:
+    """Return who may do what with an open file, as POSIX has it; on Windows it says nothing: 0."""
+    return 0 if sys.platform == "win32" else stat.S_IMODE(os.fstat(file.fileno()).st_mode)
+
+
 def read_watched(file: IO[bytes], path: Path, size: int = -1) -> bytes:
     """Read a file; a warning tells when its content changed though nobody wrote it.
 
@@ -95,9 +100,9 @@ def replace_file(path: Path, data: bytes, *, mode: int = 0o600) -> None:
     does not take it; as a rule the one before is there.
     """
     beside = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
-    handle = os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, mode)
+    file = open(beside, "xb", opener=lambda name, flags: os.open(name, flags, mode))  # noqa: SIM115
     try:
-        with os.fdopen(handle, "wb") as file:
+        with file:
             file.write(data)
             file.flush()
             os.fsync(file.fileno())
@@ -108,12 +113,6 @@ def replace_file(path: Path, data: bytes, *, mode: int = 0o600) -> None:
     keep_names(path.parent)
 
 
-def is_at(handle: int, path: Path) -> bool:
-    """Whether an open file is the one that stands there."""
-    try:
-        return os.path.samestat(os.fstat(handle), path.stat())
-    except FileNotFoundError:
-        return False
 def locks(handle: int) -> bool:
     """Have an open file alone until it is closed, or the process ends; False: another program has.
 
@@ -134,6 +133,12 @@ def locks(handle: int) -> bool:
     return True
 
 
+def is_at(handle: int, path: Path) -> bool:
+    """Whether an open file is the one that stands there."""
+    try:
+        return os.path.samestat(os.fstat(handle), path.stat())
+    except FileNotFoundError:
+        return False
 
 
 def keep_names(folder: Path) -> None:
@@ -141,7 +146,9 @@ def keep_names(folder: Path) -> None:
 
     Raises ``OSError``: it does not take them.
     """
-    handle = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
+    if sys.platform == "win32":
+        return  # which opens no folder
+    handle = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(handle)
     finally:
@@ -153,7 +160,7 @@ def _read(path: Path, what: str) -> bytes:
     try:
         with place.open("rb") as file:
             # The open file is looked at, not the path: that may lead elsewhere by now.
-            mode = stat.S_IMODE(os.fstat(file.fileno()).st_mode)
+            mode = mode_of(file)
             data = read_watched(file, place, MAX_SECRET_SIZE + 1)
     except OSError as error:
         raise unread(f"the {what} file {path}", error) from error

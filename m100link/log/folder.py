@@ -24,6 +24,9 @@ from m100link.log.records import MAGIC, Header, records
 
 _logger = logging.getLogger(__name__)
 
+# Neither through a link, nor into what would wait for another program. Windows has none of these.
+_SAFELY = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
+
 DISK_S = 2.0
 """Seconds for which an aircraft waits for the disk of its log; then it is connected without one."""
 
@@ -227,7 +230,8 @@ class LogDirectory:
             is_written = self._is_written(log)
             status = os.fstat(stream.fileno())
             try:
-                data = os.pread(stream.fileno(), length, offset)
+                stream.seek(offset)
+                data = stream.read(length)
             except OSError as error:
                 raise _no_log(log, error.strerror or f"{error}") from error
         return data, LogEntry(log, status.st_size, status.st_mtime, is_written)
@@ -260,16 +264,15 @@ class LogDirectory:
         """A log; UsageError where there is none of that name."""
         if self._folder is None or not is_log_name(log):
             raise _no_log(log, "nothing is recorded")
-        # Neither through a link, nor into what would wait for another program, such as a pipe.
-        flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
         try:
-            handle = os.open(self._folder / log, flags)
+            stream = FileIO(
+                self._folder / log, opener=lambda path, flags: os.open(path, flags | _SAFELY)
+            )
         except OSError as error:
             raise _no_log(log, error.strerror or f"{error}") from error
-        if not stat.S_ISREG(os.fstat(handle).st_mode):
-            os.close(handle)
-            raise _no_log(log, "it is no file")
-        with FileIO(handle) as stream:
+        with stream:
+            if not stat.S_ISREG(os.fstat(stream.fileno()).st_mode):
+                raise _no_log(log, "it is no file")
             yield stream
 
 

@@ -23,7 +23,7 @@ from typing import Any
 from m100link.apps.station.config import Settings
 from m100link.errors import BadURL, UsageError
 from m100link.errors.texts import read_path, read_toml
-from m100link.link.keyfile import read_watched, replace_file
+from m100link.link.keyfile import mode_of, read_watched, replace_file
 from m100link.link.url import EXAMPLES, parse_url
 from m100link.protocol.firmware import PROFILES
 from m100link.protocol.records import AccelerationMode
@@ -126,7 +126,7 @@ def read_configuration(path: Path | None = None) -> Configuration:
     path = configuration_path() if path is None else path
     try:
         with path.open("rb") as file:
-            mode = stat.S_IMODE(os.fstat(file.fileno()).st_mode)
+            mode = mode_of(file)
             tables = read_toml(read_watched(file, path))
     except FileNotFoundError:
         return Configuration(path=path)

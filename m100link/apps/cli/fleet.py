@@ -31,6 +31,7 @@ from m100link.apps.fleet.revocations import Revocations
 from m100link.apps.fleet.signing import read_signer, signing, tls_options
 from m100link.errors import M100Error, OutcomeUnknown, UsageError
 from m100link.errors.texts import read_json
+from m100link.link.keyfile import replace_file
 from m100link.log.folder import state_folder
 
 # -- what goes on on board after Ctrl-C, how to see it, and how to end it --------------------------
@@ -101,10 +102,7 @@ def shared(site: str, name: str, proof: tuple[int, str]) -> Iterator[None]:
     text = json.dumps({"fence": fence, "token": token})
     try:
         path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-        path.unlink(missing_ok=True)  # of one that was killed
-        handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o600)
-        with os.fdopen(handle, "w", encoding="ascii") as file:
-            file.write(text)
+        replace_file(path, text.encode("ascii"))  # of one that was killed
     except OSError as error:
         raise UsageError(
             f"{path} cannot be written: {error.strerror or error}",

@@ -10,7 +10,6 @@ import hashlib
 import ipaddress
 import json
 import math
-import os
 import re
 import stat
 from collections.abc import Callable, Collection, Mapping
@@ -27,7 +26,7 @@ from m100link.apps.fleet.keys import NAME
 from m100link.apps.fleet.payloads import OrderMessage, StartShow, TakePlace
 from m100link.errors import NotAllowed, UsageError
 from m100link.errors.texts import read_toml
-from m100link.link.keyfile import read_watched
+from m100link.link.keyfile import mode_of, read_watched
 from m100link.protocol.firmware import PROFILES
 
 # -- one file for a fleet: its routers, its aircraft, and the rights of its operators --------------
@@ -193,7 +192,7 @@ class Rights:
         """
         try:
             with Path(path).open("rb") as file:
-                mode = stat.S_IMODE(os.fstat(file.fileno()).st_mode)
+                mode = mode_of(file)
                 data = read_watched(file, Path(path), _LARGEST + 1)
         except OSError as error:
             raise BadRights(
