@@ -40,7 +40,6 @@ import contextlib
 import os
 import selectors
 import threading
-import tty
 from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager
 from typing import TYPE_CHECKING, Any
@@ -58,6 +57,7 @@ except ModuleNotFoundError as error:  # pragma: no cover - every test has pytest
 from m100link.aircraft import Aircraft, connect
 from m100link.link import Link
 from m100link.sim import Driver, PtyPort, VirtualAircraft, VirtualClockEventLoop
+from m100link.sim.ports.pty import open_terminal
 
 if TYPE_CHECKING:
     from m100link.link import MemoryTransport
@@ -146,11 +146,9 @@ class VirtualSerialPair:
     """
 
     def __init__(self) -> None:
-        self._ends = [os.openpty() for _ in range(2)]
-        for master, slave in self._ends:
-            tty.setraw(slave)
-            os.set_blocking(master, False)
-        self.first, self.second = (os.ttyname(slave) for _, slave in self._ends)
+        ends = [open_terminal() for _ in range(2)]
+        self._ends = [(master, slave) for master, slave, _ in ends]
+        self.first, self.second = (device for *_, device in ends)
         self._stop_reader, self._stop_writer = os.pipe()
         self._thread = threading.Thread(target=self._pump, name="virtual serial pair", daemon=True)
         self._thread.start()
@@ -190,22 +188,18 @@ class VirtualPort:
 
     def __init__(self, **options: Any) -> None:
         self.aircraft = VirtualAircraft(**options)
-        self.name = ""
         self._loop = asyncio.new_event_loop()
-        self._is_ready = threading.Event()
+        self._driver = Driver(self.aircraft, self._loop)
+        self.name = PtyPort(self._driver).name
         self._thread = threading.Thread(target=self._run, name="virtual aircraft", daemon=True)
         self._thread.start()
-        self._is_ready.wait()
 
     def _run(self) -> None:
         asyncio.set_event_loop(self._loop)
-        driver = Driver(self.aircraft, self._loop)
-        self.name = PtyPort(driver).name
-        self._loop.call_soon(self._is_ready.set)
         try:
             self._loop.run_forever()
         finally:
-            driver.stop()
+            self._driver.stop()
             self._loop.close()
 
     def call(self, method: str, *arguments: Any, **options: Any) -> Any:

@@ -307,8 +307,9 @@ async def stop_listening(server: asyncio.Server) -> None:
     new is accepted first, then what was accepted gets its transport, then the server is closed.
     """
     loop = asyncio.get_running_loop()
-    for listening in server.sockets:
-        loop.remove_reader(listening.fileno())
+    with contextlib.suppress(NotImplementedError):  # the usual loop of Windows watches no sockets
+        for listening in server.sockets:
+            loop.remove_reader(listening.fileno())
     for _ in range(3):
         await asyncio.sleep(0)
     server.close()

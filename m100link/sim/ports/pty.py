@@ -9,15 +9,18 @@ gets fresh ones, as from a real UART.
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import os
 import struct
-import termios
-import tty
+import sys
 from pathlib import Path
 
 from m100link.errors import PortBusy, PortFailed
 from m100link.sim.ports.driver import Backlog, Driver
+
+if sys.platform != "win32":
+    import fcntl
+    import termios
+    import tty
 
 _STALE_S = 1.0
 _FULL = 4000  # the line discipline holds 4095 bytes
@@ -27,8 +30,25 @@ _SPEEDS = {
         *(1200, 2400, 4800, 9600, 19_200, 38_400, 57_600, 115_200, 230_400, 460_800),
         *(500_000, 576_000, 921_600, 1_000_000, 1_500_000, 2_000_000),
     )
-    if hasattr(termios, f"B{rate}")
+    if sys.platform != "win32" and hasattr(termios, f"B{rate}")
 }
+
+
+def open_terminal() -> tuple[int, int, str]:
+    """Open a raw pseudo-terminal: its two ends, of which the first one does not block, its device.
+
+    Raises ``PortFailed``: this is Windows.
+    """
+    if sys.platform == "win32":
+        raise PortFailed(
+            "Windows has no pseudo-terminals",
+            cause="a virtual aircraft was to stand behind a serial port",
+            remedy="use `m100link sim --tcp 7000` and tcp://127.0.0.1:7000, or sim://",
+        )
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    os.set_blocking(master, False)
+    return master, slave, os.ttyname(slave)
 
 
 class PtyPort:
@@ -43,7 +63,7 @@ class PtyPort:
 
     Raises:
         PortBusy: There is something else at ``link``.
-        PortFailed: The link cannot be made.
+        PortFailed: The link cannot be made, or this is Windows.
 
     Attributes:
         device: Path of the terminal, such as ``/dev/pts/3``.
@@ -74,11 +94,8 @@ class PtyPort:
         return self.device if self._link is None else str(self._link)
 
     def _open(self) -> None:
-        self._master, self._slave = os.openpty()
-        self.device = os.ttyname(self._slave)
-        tty.setraw(self._slave)
+        self._master, self._slave, self.device = open_terminal()
         self._set_speed()
-        os.set_blocking(self._master, False)
         if self._link is not None:
             try:
                 self._make_link(self._link)
