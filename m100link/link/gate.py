@@ -30,11 +30,11 @@ class WriteGate(Protocol):
 
 def descriptor_of(transport: asyncio.BaseTransport | None) -> int | None:
     """The open file behind a transport, None where another process could not write to it."""
-    if transport is None or os.name != "posix":
+    if transport is None:
         return None
     for name in ("serial", "socket"):
         if (line := transport.get_extra_info(name)) is not None:
-            number = line.fileno()
+            number = line.fileno() if os.name == "posix" else 0  # of no use to a guardian there
             return number if isinstance(number, int) and number >= 0 else None
     return None
 
