@@ -463,12 +463,16 @@ class CtlServer:
 
     def __init__(self, aircraft: list[VirtualAircraft], path: Path | None = None) -> None:
         self._aircraft = aircraft
-        self.path = path or socket_directory() / f"sim-{os.getpid()}.sock"
+        self.path: Path | None = None  # on Windows, where nobody listens
+        if hasattr(socket, "AF_UNIX"):
+            self.path = path or socket_directory() / f"sim-{os.getpid()}.sock"
         self._server: asyncio.Server | None = None
         self._serving: dict[asyncio.Task[Any], asyncio.StreamWriter] = {}
 
     async def start(self) -> None:
         """Listen."""
+        if self.path is None:
+            return
         self.path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         with contextlib.suppress(FileNotFoundError):
             self.path.unlink()
@@ -486,7 +490,8 @@ class CtlServer:
             if self._serving:
                 await asyncio.wait(list(self._serving), timeout=1.0)
         with contextlib.suppress(OSError):
-            self.path.unlink()
+            if self.path is not None:
+                self.path.unlink()
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         task = asyncio.current_task()
@@ -537,6 +542,12 @@ def send_order(
     of a process with several, from 0. ``timeout``: seconds to wait. Raises ``NoSimulator``: none
     runs, or several do and ``path`` says nothing.
     """
+    if not hasattr(socket, "AF_UNIX"):
+        raise NoSimulator(
+            "a simulator takes no orders from another shell on Windows",
+            cause="they go through a Unix socket",
+            remedy="give it a scenario: m100link sim --scenario FILE, or use the console",
+        )
     if path is None:
         path = _only_socket()
     with socket.socket(socket.AF_UNIX) as connection:

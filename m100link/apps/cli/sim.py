@@ -315,7 +315,7 @@ def _announcement(plan: _Plan, ports: list[str], control: CtlServer) -> dict[str
         "level": first.credentials.level,
         "serial_number": first.vehicle.serial_number,
         "pid": os.getpid(),
-        "control_socket": str(control.path),
+        "control_socket": None if control.path is None else str(control.path),
     }
     if len(ports) > 1:
         line["ports"] = ports

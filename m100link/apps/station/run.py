@@ -323,10 +323,10 @@ async def running_apart(
         await stack.enter_async_context(transports.serve_unix(agent_path, owner.service.attach))
         orders = {}
         if owner.virtual is not None and with_console:
-            server = CtlServer([owner.virtual], directory / "orders.sock")
+            orders[ONLY_NAME] = directory / "orders.sock"
+            server = CtlServer([owner.virtual], orders[ONLY_NAME])
             await server.start()
             stack.push_async_callback(server.stop)
-            orders[ONLY_NAME] = server.path
         front.request |= _reached({ONLY_NAME: agent_path}, orders)
         await stack.enter_async_context(supervised(front))
         # Before the child is waited for: one that hangs must not fly on until its lease ends.
