@@ -253,7 +253,9 @@ def _shown(url: str) -> str:
 def run_async(work: Coroutine[Any, Any, int | None]) -> int:
     """Run a command's coroutine; the caller reports errors and Ctrl-C."""
     try:
-        return asyncio.run(work) or ExitCode.OK
+        # The usual loop of Windows watches no sockets for the servers of a station.
+        with asyncio.Runner(loop_factory=asyncio.SelectorEventLoop) as runner:
+            return runner.run(work) or ExitCode.OK
     except asyncio.CancelledError:  # a signal came before it ran
         return ExitCode.OK
 

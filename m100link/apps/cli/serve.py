@@ -8,6 +8,7 @@ import logging
 import math
 import os
 import re
+import sys
 import webbrowser
 from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
@@ -154,7 +155,10 @@ async def _running(
             yield several, several.front
         return
     ((name, settings),) = aircraft.items()
-    run = running if options.single_process else running_apart
+    is_windows = sys.platform == "win32"
+    if is_windows and not (settings.sim or settings.is_replay):
+        err.print("[yellow]warning:[/] on Windows one process both flies and serves clients")
+    run = running if options.single_process or is_windows else running_apart
     async with run(settings, **served) as one:
         for event in one.agent.journal.events:
             tell(name, event)

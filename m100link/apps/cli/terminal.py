@@ -17,6 +17,7 @@ import logging
 import math
 import os
 import sys
+import threading
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -132,9 +133,16 @@ async def read_line() -> str:
 
     def on_readable() -> None:
         if not line.done():
-            line.set_result(os.read(descriptor, 1024))
+            loop.call_soon_threadsafe(take, os.read(descriptor, 1024))
 
-    loop.add_reader(descriptor, on_readable)
+    def take(typed: bytes) -> None:
+        if not line.done():
+            line.set_result(typed)
+
+    if sys.platform == "win32":  # no loop watches a console there
+        threading.Thread(target=on_readable, daemon=True).start()
+    else:
+        loop.add_reader(descriptor, on_readable)
     try:
         while not line.done():
             # Python looks for signals when the wait ends: a Ctrl-C just before it began would be
@@ -142,7 +150,8 @@ async def read_line() -> str:
             await asyncio.wait([line], timeout=_LOOK_S)
         return line.result().decode(errors="replace").strip()
     finally:
-        loop.remove_reader(descriptor)
+        if sys.platform != "win32":
+            loop.remove_reader(descriptor)
 
 
 # -- keys of a terminal, without Enter -------------------------------------------------------------

@@ -21,7 +21,7 @@ from typing import Any
 from m100link.apps.agent.background import when_signalled
 from m100link.apps.agent.messages import RemoteError
 from m100link.apps.station.log_output import LogOutput, in_force, writing_log
-from m100link.errors import M100Error
+from m100link.errors import M100Error, UsageError
 from m100link.errors.texts import read_json
 
 START_TIMEOUT = 60.0  # seconds in which a child has to run: a small computer imports slowly
@@ -61,7 +61,16 @@ class ChildProcess:
         return None if self._process is None else self._process.pid
 
     async def begin(self) -> None:
-        """Let it load what it needs, while its request is not known yet."""
+        """Let it load what it needs, while its request is not known yet.
+
+        Raises ``UsageError``: this is Windows.
+        """
+        if sys.platform == "win32":
+            raise UsageError(
+                f"{self._called}: no process of its own can be had on Windows",
+                cause="processes of a station reach each other by Unix sockets",
+                remedy="start one station for each aircraft, or run it on Linux or macOS",
+            )
         loads = [json.dumps(self._loads)] if self._loads else []
         clean = {name: one for name, one in os.environ.items() if not name.startswith("M100LINK_")}
         self._waiting = await asyncio.create_subprocess_exec(

@@ -410,6 +410,9 @@ def begin_analysis(path: str, firmware: str) -> None:
 
 async def analysed(path: str, firmware: str) -> AsyncIterator[Recorded | str]:
     """The same by a process of its own, which ends with the iterator: outline, then the whole."""
+    if sys.platform == "win32":  # its loop reads no pipe
+        yield await asyncio.to_thread(analyse, path, firmware, lambda _: None)
+        return
     begin_analysis(path, firmware)
     process, reader = _begun.pop(path), asyncio.StreamReader()
     transport, _ = await asyncio.get_running_loop().connect_read_pipe(
