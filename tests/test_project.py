@@ -8,7 +8,9 @@ import importlib.resources
 import inspect
 import os
 import re
+import shutil
 import stat
+import subprocess
 import tomllib
 from pathlib import Path
 
@@ -17,6 +19,7 @@ import pytest
 import m100link
 from m100link import errors
 from m100link.apps.cli.app import app as cli
+from m100link.apps.fleet.pki import _UNIT
 from m100link.protocol import records
 from m100link.sim import VirtualClockEventLoop
 from tests import audit, release
@@ -271,3 +274,28 @@ def test_nothing_tracked_names_a_place_on_one_machine() -> None:
     for path in [*owned, *(ROOT / "docs").rglob("*.md"), *(ROOT / "docs").rglob("*.py")]:
         if "_build" not in path.parts:
             assert home not in path.read_text(encoding="utf-8"), path
+
+
+ON_BOARD = (ROOT / "docs/howto/on-board.md").read_text(encoding="utf-8")
+UNITS = {
+    "the page": re.findall(r"```ini\n(.*?)```", ON_BOARD, re.DOTALL)[0],
+    "fleet make": _UNIT.format(place="/var/lib/m100/a1", unit="one", name="a1", file="fleet.toml"),
+}
+
+
+@pytest.mark.skipif(
+    shutil.which("systemd-analyze") is None, reason="systemd, which judges units, is not installed"
+)
+@pytest.mark.parametrize("unit", UNITS.values(), ids=UNITS)
+def test_a_unit_leaves_little_exposed(unit: str, tmp_path: Path) -> None:
+    """At most 4 of 10, by systemd's own scale."""
+    place = tmp_path / "m100.service"
+    place.write_text(unit, encoding="utf-8")
+    judged = subprocess.run(
+        ["systemd-analyze", "security", "--offline=true", "--threshold=40", str(place)],
+        capture_output=True,
+        text=True,
+    )
+    if "unrecognized option" in judged.stderr:
+        pytest.skip("this systemd is older than 250, and judges no files")
+    assert judged.returncode == 0, judged.stdout[-200:]
