@@ -24,9 +24,6 @@ from m100link.log.records import MAGIC, Header, records
 
 _logger = logging.getLogger(__name__)
 
-# Neither through a link, nor into what would wait for another program. Windows has none of these.
-_SAFELY = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
-
 DISK_S = 2.0
 """Seconds for which an aircraft waits for the disk of its log; then it is connected without one."""
 
@@ -264,9 +261,11 @@ class LogDirectory:
         """A log; UsageError where there is none of that name."""
         if self._folder is None or not is_log_name(log):
             raise _no_log(log, "nothing is recorded")
+        # Neither through a link, nor into what would wait for another program, such as a pipe.
+        safely = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)  # none on Windows
         try:
             stream = FileIO(
-                self._folder / log, opener=lambda path, flags: os.open(path, flags | _SAFELY)
+                self._folder / log, opener=lambda at, flags: os.open(at, flags | safely)
             )
         except OSError as error:
             raise _no_log(log, error.strerror or f"{error}") from error
