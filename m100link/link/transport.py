@@ -265,22 +265,23 @@ def _errno_of(error: BaseException) -> int | None:
     return number if isinstance(number, int) else None
 
 
-def port_owners(device: str) -> tuple[tuple[int, str], ...]:
+def port_owners(device: str, processes: str = "/proc") -> tuple[tuple[int, str], ...]:
     """Processes that hold a device open, as ``(pid, name)``, where the system tells.
 
-    Looks for a second at the most, and so never from an event loop.
+    The holder of the master of a pseudo-terminal is its other end. Looks for a second at the most,
+    and so never from an event loop.
     """
     from pathlib import Path
 
     wanted = os.path.realpath(device)
     owners = []
     until = time.monotonic() + _LOOK_S
-    for process in sorted(Path("/proc").glob("[0-9]*")):
+    for process in sorted(Path(processes).glob("[0-9]*")):
         if time.monotonic() > until:
             break
         try:
-            held = any(os.path.realpath(fd) == wanted for fd in (process / "fd").iterdir())
-            if held:
+            files = {os.path.realpath(fd) for fd in (process / "fd").iterdir()}
+            if wanted in files and not (wanted.startswith("/dev/pts/") and "/dev/ptmx" in files):
                 owners.append(
                     (int(process.name), (process / "comm").read_text("utf-8", "replace").strip())
                 )

@@ -14,8 +14,7 @@ from pathlib import Path
 
 from m100link.errors import UsageError
 from m100link.errors.texts import read_path
-
-_TTY_MASTER = "/dev/ptmx"
+from m100link.link.transport import port_owners
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,17 +96,9 @@ class Machine:
     # -- who else uses it ------------------------------------------------------------------------
 
     def holders(self, path: str) -> tuple[Process, ...]:
-        """Other programs that have the device open, where the system tells.
-
-        The holder of the master of a pseudo-terminal is its other end.
-        """
-        wanted = str(self.device(path))
-        found = []
-        for process in self._processes():
-            files = self._open_files(process)
-            if wanted in files and not (wanted.startswith("/dev/pts/") and _TTY_MASTER in files):
-                found.append(_described(process))
-        return tuple(one for one in found if one.pid != os.getpid())
+        """Other programs that have the device open, where the system tells."""
+        found = port_owners(str(self.device(path)), str(self._root / "proc"))
+        return tuple(Process(*one) for one in found if one[0] != os.getpid())
 
     def login_programs(self, path: str) -> tuple[Process, ...]:
         """Programs that ask for a login on it: they name the port and belong to root."""
@@ -145,12 +136,6 @@ class Machine:
 
     def _processes(self) -> Iterator[Path]:
         yield from sorted((self._root / "proc").glob("[0-9]*"))
-
-    def _open_files(self, process: Path) -> set[str]:
-        try:
-            return {os.path.realpath(name) for name in (process / "fd").iterdir()}
-        except OSError:
-            return set()  # gone meanwhile, or not ours to look into
 
     def _words(self, process: Path) -> list[str]:
         try:
