@@ -66,7 +66,7 @@ Url = Annotated[
 _OF_PANEL = {
     "Aircraft": "url sim firmware baud_rate timeout acceleration",
     "App registered with DJI": "app_id key_file key level app_version bundle_id",
-    "Safety": "max_height max_radius keep_authority",
+    "Safety": "max_height max_radius",
     "rosbridge": "port also_ports pages max_clients",
     "Console": "console_port tiles video",
     "Access": "host token_file allow_host allow_origin tls_cert tls_key",

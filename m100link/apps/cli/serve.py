@@ -428,7 +428,7 @@ USUAL = ("udp://127.0.0.1:14550", "udp://127.0.0.1:14540")
 OF_THE_AIRCRAFT = (
     *("baud_rate", "firmware", "timeout", "acceleration"),
     *("app_id", "key", "key_file", "level"),
-    *("app_version", "bundle_id", "max_height", "max_radius", "keep_authority"),
+    *("app_version", "bundle_id", "max_height", "max_radius"),
     *("record", "no_record", "record_keep", "record_keep_mb"),
 )
 """Settings of each station without a page: who may fly how far, and where it is recorded."""

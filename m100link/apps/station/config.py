@@ -85,8 +85,6 @@ class Settings:
         video: Live video for the console: the address of an MJPEG stream, or of a WHEP endpoint
             (with whep in its path); NAME=URL for one of several aircraft. Repeatable.
         max_clients: Greatest number of clients at once.
-        keep_authority: Seconds to keep control authority, in a hover, when the process that serves
-            clients fails while one of them flies; 0 gives authority back at once.
         front_niceness: Niceness added to the process that serves clients, 0 to 19.
         max_height: Greatest height above the take-off point, m.
         max_radius: Greatest distance from the point where control was obtained, m.
@@ -143,7 +141,6 @@ class Settings:
     tiles: Path | None = None
     video: tuple[str, ...] = ()
     max_clients: int = 32
-    keep_authority: float = 0.0
     front_niceness: int = FRONT_NICENESS
     max_height: float = 50.0
     max_radius: float = 150.0

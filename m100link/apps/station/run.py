@@ -53,7 +53,7 @@ _NOT_FOR_FRONTS = ("url", "key", "key_file", "app_id", "token_file", "origins", 
 _FOR_AGENTS = (
     *("url", "baud_rate", "firmware", "timeout", "acceleration", "sim"),
     *("app_id", "key", "key_file", "level"),
-    *("app_version", "bundle_id", "keep_authority", "max_height", "max_radius"),
+    *("app_version", "bundle_id", "max_height", "max_radius"),
     *("record", "no_record", "record_keep", "record_keep_mb"),
 )
 
@@ -144,7 +144,6 @@ async def owning(
             Agent(
                 connect,
                 credentials=credentials,
-                keep_authority=settings.keep_authority,
                 envelope=envelope_of(settings.max_height, settings.max_radius),
                 leases_before=leases_before,
                 replay=replay,

@@ -495,8 +495,8 @@ STATIONS: list[tuple[str, dict[str, dict[str, Any]], dict[str, Any]]] = [
         {"with_console": False},
     ),
     (
-        "serve tcp://a:1 --keep-authority 2.5 --max-height 30 --max-radius 60 --level 1",
-        {"m100": {"keep_authority": 2.5, "max_height": 30, "max_radius": 60, "level": 1}},
+        "serve tcp://a:1 --max-height 30 --max-radius 60 --level 1",
+        {"m100": {"max_height": 30, "max_radius": 60, "level": 1}},
         {"with_console": False},
     ),
     (

@@ -138,27 +138,6 @@ async def test_a_front_that_is_killed_costs_a_hover_and_comes_back() -> None:
         assert "the fronts ended (SIGKILL), to be started again" in told
 
 
-async def test_authority_is_kept_for_a_front_that_is_started_again() -> None:
-    async with flying(keep_authority=60.0) as (one, _):
-        killed = one.front.pid
-        assert killed is not None
-        restarted = asyncio.Event()
-        one.front.on_restart.append(restarted.set)
-        os.kill(killed, signal.SIGKILL)
-        await until(lambda: east(one) == 0.0)
-        async with asyncio.timeout(PATIENCE):
-            await restarted.wait()
-        assert one.agent.holding.has_authority
-        async with connect(f"ws://127.0.0.1:{one.sockets.port('rosbridge')}") as client:
-            pilot = Pilot(client)
-            answer = await pilot.call("/dji_sdk/sdk_control_authority", control_enable=1)
-            assert answer["values"]["result"] is True
-            flying_on = asyncio.create_task(pilot.fly())
-            await until(lambda: east(one) == 1.0)
-            flying_on.cancel()
-            await asyncio.gather(flying_on, return_exceptions=True)
-
-
 @pytest.mark.parametrize("niceness", [-1, 20])
 async def test_fronts_never_stand_before_the_agent(niceness: int) -> None:
     with pytest.raises(UsageError, match="niceness"):

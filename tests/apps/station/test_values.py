@@ -135,7 +135,7 @@ OWNED: list[tuple[dict[str, Any], dict[str, Any], tuple[Any, ...]]] = [
 async def test_whom_an_agent_connects_to_and_for_which_app(
     noted: Noted, given: dict[str, Any], how: dict[str, Any], app: tuple[Any, ...]
 ) -> None:
-    settings = Settings(**given, keep_authority=4.5, max_height=30.0, max_radius=60.0)
+    settings = Settings(**given, max_height=30.0, max_radius=60.0)
     async with run.owning(settings, leases_before=11) as owner:
         assert owner.virtual is None
     (url,), options = noted.of("by_url")
@@ -146,7 +146,7 @@ async def test_whom_an_agent_connects_to_and_for_which_app(
     found = credentials and (credentials.app_id, credentials.key, credentials.level)
     assert (way, found or ()) == ("the way", app)
     assert (envelope.max_height_m, envelope.max_radius_m) == (30.0, 60.0)
-    assert agent == {"keep_authority": 4.5, "leases_before": 11, "replay": None}
+    assert agent == {"leases_before": 11, "replay": None}
     assert noted.names[-2:] == ["close", "end of agent"]  # first the leases, then the aircraft
 
 
@@ -225,7 +225,7 @@ async def test_no_aircraft_at_all_is_a_mistake(noted: Noted) -> None:
 
 SECRETS = {"key", "key_file", "app_id", "token_file"}
 AGENTS = {"url", "baud_rate", "firmware", "timeout", "acceleration", "sim", "app_id", "key"}
-AGENTS |= {"key_file", "level", "app_version", "bundle_id", "keep_authority", "max_height"}
+AGENTS |= {"key_file", "level", "app_version", "bundle_id", "max_height"}
 AGENTS |= {"max_radius", "record", "no_record", "record_keep", "record_keep_mb"}
 
 

@@ -39,9 +39,6 @@ from m100link.protocol.commands.control import Task
 from m100link.protocol.commands.gimbal import GimbalAngleMode
 from m100link.protocol.setpoint import Setpoint
 
-LONGEST_KEPT = 60.0
-"""Seconds that control authority is kept for nobody at most."""
-
 _LEASE_CHECK = 0.1
 # Seconds between two looks at the lease; in a longer time this program did not run, and nobody
 # could renew.
@@ -64,8 +61,6 @@ class Agent:
         connect: Opens the aircraft.
         credentials: For activation; without them the aircraft can only be watched.
         lease_lifetime: Seconds that a lease lasts without renewal.
-        keep_authority: Seconds that control authority is kept, hovering, when the front that flew
-            is lost; 0 gives it back at once.
         leases_before: Number of the last lease that an earlier agent may have granted; above 0 the
             agent gives back the authority that one may have held, once the aircraft answers.
         envelope: How far the holder of the lease may fly; that of every control block by default.
@@ -78,16 +73,10 @@ class Agent:
         *,
         credentials: Credentials | None = None,
         lease_lifetime: float = 3.0,
-        keep_authority: float = 0.0,
         leases_before: int = 0,
         envelope: Envelope | None = None,
         replay: Replays | None = None,
     ) -> None:
-        if not 0.0 <= keep_authority <= LONGEST_KEPT:
-            raise UsageError(
-                f"control authority cannot be kept for {keep_authority:g} s",
-                remedy=f"choose 0 to {LONGEST_KEPT:g} s: somebody has to be there to fly",
-            )
         self._clock = asyncio.get_running_loop().time
         self.replay = replay  #: as given
         self.journal = Journal(self._clock)  #: its events
@@ -105,12 +94,8 @@ class Agent:
         guards = Guards(envelope=envelope or Envelope())
         #: Control authority, and the flights under it.
         self.holding = AuthorityManager(self.journal, self.background, guards)
-        self.holding.on_change.append(self._holding_changed)
         if leases_before > 0:
             self.holding.orphaned.owed = Owed.AT_ONCE
-        self._keep_authority = keep_authority
-        # Ends a time in which authority is held for nobody.
-        self._unclaimed: asyncio.TimerHandle | None = None
         # Why no stream of setpoints flies on, and no order that moves: their sender has to begin
         # anew. Empty: it may. And when it last wanted any of them.
         self._begin_anew, self._wanted_at = "", -math.inf
@@ -173,7 +158,7 @@ class Agent:
 
     def _look_after_authority(self) -> None:
         has_holder = self.leases.holder(self.now) is not None
-        if not has_holder and self._unclaimed is None:
+        if not has_holder:
             self.holding.let_go()  # again, in case the end of the lease failed half-way
         self.holding.look(has_holder=has_holder)
 
@@ -182,7 +167,7 @@ class Agent:
         call_each(
             (
                 lambda: self.hover("control changed hands"),  # before anybody hears of it
-                lambda: self._hand_on(why, new),
+                lambda: self._hand_on(new),
                 *(partial(callback, why, new, flown) for callback in self.on_lease),
                 lambda: self.upload(PlanChanged()),  # nobody flies what somebody else left
             )
@@ -195,41 +180,10 @@ class Agent:
             how = "lost control" if why in _LOST else "gave control back"
             self.journal.note(f"{old.name} {how} ({why.value})", level)
 
-    def _hand_on(self, why: LeaseChange, new: Lease | None) -> None:
+    def _hand_on(self, new: Lease | None) -> None:
         self._begin_anew = "" if new is not None else self._begin_anew
-        self._claim()
-        if new is not None:
-            self.holding.feed(HoldingInput.TAKEN_OVER)  # what is held stays held; a request ends
-        elif why in _LOST and self._keep_authority and self.holding.has_authority:
-            self._keep_for_nobody()
-        else:
-            self.holding.feed(HoldingInput.LET_GO)
-
-    def _keep_for_nobody(self) -> None:
-        self._unclaimed = asyncio.get_running_loop().call_later(
-            self._keep_authority, self._end_unclaimed, "nobody came back for it"
-        )
-        self.journal.note(
-            f"the aircraft hovers, control authority is kept for {self._keep_authority:g} s",
-            "warning",
-        )
-
-    def _claim(self) -> bool:
-        """Authority is not held for nobody any more; returns whether it was."""
-        timer, self._unclaimed = self._unclaimed, None
-        if timer is not None:
-            timer.cancel()
-        return timer is not None
-
-    def _end_unclaimed(self, why: str) -> None:
-        if self._claim():
-            self.holding.let_go()
-            self.journal.note(f"control authority is given back: {why}", "warning")
-
-    def _holding_changed(self, before: HoldingState, after: HoldingState) -> None:
-        # Kept for nobody and lost: a pilot who comes back to F would give it to nobody.
-        if after is not HoldingState.RELEASING:
-            self._end_unclaimed("it was lost meanwhile")
+        # By a take-over what is held stays held, and a request ends.
+        self.holding.feed(HoldingInput.LET_GO if new is None else HoldingInput.TAKEN_OVER)
 
     # -- orders ----------------------------------------------------------------------------------
 
@@ -297,7 +251,6 @@ class Agent:
 
     async def give_back(self) -> None:
         """Give control authority back; the lease stays."""
-        self._claim()
         self.hover()
         self.holding.let_go()
         await self.holding.settle()
@@ -412,7 +365,7 @@ class Agent:
         except BaseException:
             self.holding.let_go()  # nobody knows what flies: the end of the control block ends it
             raise
-        if is_in_task or self._unclaimed is not None:
+        if is_in_task:
             await self.end_task()
         await self.holding.insist()
 

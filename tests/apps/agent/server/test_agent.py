@@ -444,69 +444,11 @@ async def test_by_default_authority_goes_back_with_a_lost_client(why: LeaseChang
         await rig.until(lambda: not rig.aircraft.vehicle.authority.is_requested, within=1.0)
 
 
-@LOST
-async def test_kept_authority_is_there_for_the_next_client(why: LeaseChange) -> None:
-    async with Rig(keep_authority=10.0).running() as rig:
-        await airborne(rig)
-        await lose(rig, why)
-        await anyio.sleep(5.0)
-        assert rig.aircraft.vehicle.authority.is_requested
-        with pytest.raises(LeaseRefused):
-            rig.agent.steer(rig.token, NORTH)
-        token = rig.agent.leases.acquire("back again", rig.agent.now).token
-        await rig.agent.ask(orders.Obtain(), token)
-        rig.agent.steer(token, NORTH)
-        await anyio.sleep(0.1)
-        assert list(rig.aircraft.autopilot.received_movements)[-1].roll_or_x == 1.0
-        for _ in range(20):
-            await anyio.sleep(1.0)
-            rig.agent.leases.renew(token, rig.agent.now)
-        assert rig.holding.has_authority
-
-
-@LOST
-async def test_kept_authority_goes_back_when_nobody_comes(why: LeaseChange) -> None:
-    async with Rig(keep_authority=10.0).running() as rig:
-        await airborne(rig)
-        await lose(rig, why)
-        await anyio.sleep(9.5)
-        assert rig.holding.has_authority
-        await rig.until(lambda: not rig.aircraft.vehicle.authority.is_requested, within=1.5)
-        told = [event.text for event in rig.agent.journal.events]
-        assert "control authority is given back: nobody came back for it" in told
-
-
 async def test_a_client_that_gives_the_lease_back_leaves_no_authority_behind() -> None:
-    async with Rig(keep_authority=10.0).running() as rig:
+    async with Rig().running() as rig:
         await airborne(rig)
         rig.agent.leases.release(rig.token, rig.agent.now)
         await rig.until(lambda: not rig.aircraft.vehicle.authority.is_requested, within=1.0)
-
-
-async def test_a_pilot_who_takes_what_is_kept_for_nobody_gives_it_back_to_nobody() -> None:
-    async with Rig(keep_authority=30.0).running() as rig:
-        await airborne(rig)
-        await lose(rig, LeaseChange.FRONT_LOST)
-        rig.aircraft.leave_f()
-        await rig.until(lambda: not rig.holding.has_authority, within=2.0)
-        rig.aircraft.return_to_f()
-        await anyio.sleep(3.0)
-        assert rig.holding.state is HoldingState.NONE
-        assert not rig.aircraft.vehicle.authority.is_requested
-
-
-async def test_a_stop_ends_what_is_kept_for_nobody() -> None:
-    async with Rig(keep_authority=30.0).running() as rig:
-        await airborne(rig)
-        await lose(rig, LeaseChange.FRONT_LOST)
-        await rig.agent.stop()
-        assert not rig.aircraft.vehicle.authority.is_requested
-
-
-@pytest.mark.parametrize("seconds", [-1.0, 61.0, float("nan")])
-async def test_authority_is_not_kept_for_ever(seconds: float) -> None:
-    with pytest.raises(UsageError, match="cannot be kept"):
-        Rig(keep_authority=seconds)
 
 
 async def test_a_lease_that_nobody_renews_ends_and_what_flies_by_it(rig: Rig) -> None:

@@ -216,22 +216,6 @@ async def test_a_front_that_has_gone_costs_a_hover(rig: Rig, service: AgentServe
     assert other.lease().number > fence
 
 
-async def test_authority_is_kept_for_a_front_that_is_lost_and_not_for_one_that_is_ended() -> None:
-    async with Rig(keep_authority=10.0).running() as rig:
-        rig.agent.leases.release(rig.token, rig.agent.now)
-        service = AgentServer(rig.agent)
-        front = Front(rig, service)
-        await front.airborne()
-        front.channel.close("killed")
-        await anyio.sleep(1.0)
-        assert rig.holding.has_authority
-        other = Front(rig, service)
-        other.send(Ask(1, orders.Obtain(), other.lease().number))
-        await other.outcome(1)
-        service.close()
-        await rig.until(lambda: not rig.aircraft.vehicle.authority.is_requested, within=1.0)
-
-
 async def test_a_front_that_hangs_loses_its_lease(rig: Rig, service: AgentServer) -> None:
     front = Front(rig, service)
     fence = front.lease().number

@@ -463,17 +463,15 @@ async def test_a_release_goes_out_again_each_second_and_is_reported_once() -> No
         (LeaseChange.FRONT_LOST, False, True, "old lost control (its front has gone)", "warning"),
     ],
 )
-@pytest.mark.parametrize("keeps", [0.0, 5.0])
 async def test_what_a_change_of_the_lease_ends_and_says(
     why: LeaseChange,
     begins: bool,
     ends: bool,
     text: str,
     level: str,
-    keeps: float,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    agent = Agent(AsyncMock(), keep_authority=keeps)
+    agent = Agent(AsyncMock())
     holding: Any = MagicMock(has_authority=True, flown=Flown.PROGRAM)
     monkeypatch.setattr(agent, "holding", holding)
     agent.plan, told = messages.PlanChanged("old", UPLOAD), list[Any]()
@@ -483,17 +481,9 @@ async def test_what_a_change_of_the_lease_ends_and_says(
     assert holding.flying.hover.mock_calls == [call("control changed hands")]
     assert told == [(why, new if begins else None, Flown.PROGRAM)]
     assert agent.plan == messages.PlanChanged(), "nobody flies what somebody else left"
-    is_kept = bool(keeps) and level == "warning"
-    fed = [] if is_kept else [HoldingInput.TAKEN_OVER if begins else HoldingInput.LET_GO]
-    assert [one.args[0] for one in holding.feed.mock_calls] == fed
-    kept = ("the aircraft hovers, control authority is kept for 5 s", "warning")
-    assert [(one.text, one.level) for one in agent.journal.events] == [kept] * is_kept + [
-        (text, level)
-    ]
-    await anyio.sleep(4.9)
-    assert not holding.let_go.called
-    await anyio.sleep(0.2)
-    assert holding.let_go.called is is_kept
+    fed = HoldingInput.TAKEN_OVER if begins else HoldingInput.LET_GO
+    assert [one.args[0] for one in holding.feed.mock_calls] == [fed]
+    assert [(one.text, one.level) for one in agent.journal.events] == [(text, level)]
 
 
 # -- messages to fronts ----------------------------------------------------------------------------
