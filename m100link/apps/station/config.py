@@ -34,13 +34,9 @@ ONLY_NAME = "m100"  # name of the only aircraft of a station
 
 MOST_AIRCRAFT = 8  # aircraft of one station: each costs a process, and nobody watches more
 
-FRONT_NICENESS = 5
-"""A third of the agent's share of a busy processor: it still serves, and holds nobody up."""
-
 RECORD_KEEP, RECORD_KEEP_MB = 200, 2000
 """Flight logs, and megabytes of them: an hour has ten to forty."""
 
-_MAX_NICENESS = 19
 _MIN_TOKEN = 16
 _APP: dict[str, Any] = {one.name: one.default for one in fields(Credentials)}
 
@@ -85,7 +81,6 @@ class Settings:
         video: Live video for the console: the address of an MJPEG stream, or of a WHEP endpoint
             (with whep in its path); NAME=URL for one of several aircraft. Repeatable.
         max_clients: Greatest number of clients at once.
-        front_niceness: Niceness added to the process that serves clients, 0 to 19.
         max_height: Greatest height above the take-off point, m.
         max_radius: Greatest distance from the point where control was obtained, m.
         mavlink: Serve MAVLink at this address, usually udp://127.0.0.1:14550; repeatable. Beyond
@@ -141,7 +136,6 @@ class Settings:
     tiles: Path | None = None
     video: tuple[str, ...] = ()
     max_clients: int = 32
-    front_niceness: int = FRONT_NICENESS
     max_height: float = 50.0
     max_radius: float = 150.0
     mavlink: tuple[str, ...] = ()
@@ -216,18 +210,6 @@ class Settings:
                 remedy="take letters, digits, - and _",
             )
         return token
-
-    def niceness(self) -> int:
-        """How much lower the priority of the fronts is.
-
-        Raises ``UsageError``: there is no such priority.
-        """
-        if not 0 <= self.front_niceness <= _MAX_NICENESS:
-            raise UsageError(
-                f"the fronts cannot have a niceness of {self.front_niceness}",
-                remedy=f"choose 0 to {_MAX_NICENESS}; the agent must not stand behind them",
-            )
-        return self.front_niceness
 
     def host_names(self) -> set[str]:
         """Names and addresses, as URLs have them, under which the station is reached."""

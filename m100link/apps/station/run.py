@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     from m100link.apps.station.web.server import RosbridgeServer
 
 
+FRONT_NICENESS = 5  # a third of the agent's share of a busy processor: it still serves
 END_TIMEOUT = 15.0  # seconds that an agent has to give control authority back and end
 
 _NOT_FOR_FRONTS = ("url", "key", "key_file", "app_id", "token_file", "origins", "unused")
@@ -280,7 +281,7 @@ async def _front_process(
         {"settings": front_settings(settings), "sockets": descriptors},
         note,
         inherited=[number for row in descriptors.values() for number in row],
-        loads=(settings.niceness(), list(descriptors), recordings),
+        loads=(FRONT_NICENESS, list(descriptors), recordings),
     )
     stack.push_async_callback(front.end)
     await front.begin()
@@ -305,8 +306,7 @@ async def running_apart(
     Raises ``UsageError, PortBusy, PortFailed``: something in the settings cannot be, or a port is
     taken.
     """
-    front_settings(settings)
-    settings.niceness()  # both before anything is bound
+    front_settings(settings)  # before anything is bound
     async with AsyncExitStack() as stack:
         sockets = open_sockets(
             stack, settings, with_console=with_console, with_rosbridge=with_rosbridge
@@ -381,7 +381,6 @@ async def running_several(
         )
     settings = next(iter(aircraft.values()))
     front_settings(settings)
-    settings.niceness()
     if settings.ros2:
         FRONTS["ros2"].load().check_ros2(settings, list(aircraft))  # all before anything is bound
     async with AsyncExitStack() as stack:

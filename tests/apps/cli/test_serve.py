@@ -116,7 +116,6 @@ def test_settings_are_shown_with_their_origin(tmp_path: Path) -> None:
         (("serve", "--sim", "--port", "99999"), "there is no port 99999"),
         (("serve", "--sim", "--also-port", "-1"), "there is no port -1"),
         (("console", "--sim", "--console-port", "65536"), "there is no port 65536"),
-        (("serve", "--sim", "--front-niceness", "20"), "cannot have a niceness"),
         (("serve", "--sim", "--tls-cert", "/none", "--tls-key", "/none"), "TLS files"),
     ],
 )

@@ -17,7 +17,7 @@ import pytest
 from websockets.asyncio.client import ClientConnection
 
 from m100link.apps.station import run, supervisor
-from m100link.apps.station.config import FRONT_NICENESS, Settings, resolve
+from m100link.apps.station.config import Settings, resolve
 from m100link.apps.station.run import (
     RunningMultiVehicle,
     RunningTwoProcess,
@@ -108,9 +108,8 @@ def east(one: RunningTwoProcess) -> float:
     return float(moves[-1].pitch_or_y) if moves else 0.0
 
 
-@pytest.mark.parametrize("niceness", [FRONT_NICENESS, 0, 7])
-async def test_fronts_run_lower_and_know_nothing_of_the_app(niceness: int) -> None:
-    settings = Settings(sim=True, port=0, app_id=7, key="00" * 32, front_niceness=niceness)
+async def test_fronts_run_lower_and_know_nothing_of_the_app() -> None:
+    settings = Settings(sim=True, port=0, app_id=7, key="00" * 32)
     told = json.loads(json.dumps(front_settings(settings)))
     assert not {"key", "key_file", "app_id", "url"} & set(told)
     assert resolve(told, {}).port == 0
@@ -118,7 +117,7 @@ async def test_fronts_run_lower_and_know_nothing_of_the_app(niceness: int) -> No
         assert one.front.pid is not None
         ours = os.getpriority(os.PRIO_PROCESS, 0)
         theirs = os.getpriority(os.PRIO_PROCESS, one.front.pid)
-        assert theirs == min(ours + niceness, 19)
+        assert theirs == min(ours + 5, 19)
 
 
 async def test_a_front_that_is_killed_costs_a_hover_and_comes_back() -> None:
@@ -136,13 +135,6 @@ async def test_a_front_that_is_killed_costs_a_hover_and_comes_back() -> None:
             assert answer["values"]["result"] is True
         told = [event.text for event in one.agent.journal.events]
         assert "the fronts ended (SIGKILL), to be started again" in told
-
-
-@pytest.mark.parametrize("niceness", [-1, 20])
-async def test_fronts_never_stand_before_the_agent(niceness: int) -> None:
-    with pytest.raises(UsageError, match="niceness"):
-        async with running_apart(Settings(sim=True, port=0, front_niceness=niceness)):
-            pass
 
 
 async def test_a_front_that_hangs_costs_a_hover() -> None:

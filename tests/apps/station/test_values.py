@@ -246,7 +246,7 @@ def test_each_process_gets_what_it_needs_and_no_secret_of_the_other(tmp_path: Pa
     named = {one.name for one in fields(Settings)}
     # All else is for the fronts, and what is None goes to nobody.
     assert named - AGENTS - {"token_file", "origins", "unused"} >= front.keys() - AGENTS
-    assert front.keys() >= {"port", "console_port", "max_clients", "front_niceness", "sysid"}
+    assert front.keys() >= {"port", "console_port", "max_clients", "sysid"}
     assert "tiles" not in front
     mavlink = run.front_settings(replace(settings, mavlink_to=("udp://127.0.0.1:14550",)))
     assert mavlink["record"] == str(tmp_path), "MAVLink programs fetch logs"
