@@ -138,7 +138,6 @@ __all__ = [
     "revoked_seeds",
     "sim_orders",
     "station_environment",
-    "station_file",
     "tokens",
     "value_seeds",
     "witnessed",
@@ -645,13 +644,8 @@ def witnessed(data: bytes) -> None:
     assert len(redaction.received(data, 1.1)) == len(data)
 
 
-def station_file(path: Path) -> None:
-    """The station's configuration."""
-    resolve({}, {}, config=path)
-
-
 def station_environment(data: bytes) -> None:
-    """The same by the environment: one value for each variable."""
+    """The station's settings: one value for each variable of the environment."""
     text = data.decode("utf-8", "replace")
     for name in ("M100LINK_PORT", "M100LINK_APP_ID", "M100LINK_LEVEL", "M100LINK_URL"):
         with suppress(M100Error):

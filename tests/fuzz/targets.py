@@ -341,16 +341,6 @@ public_key = "{}"
 fly = ["a1"]
 stop = ["*"]
 """.format("0a" * 32)
-_STATION = """[station]
-port = 9090
-app_id = 0x10
-timeout = 2.0
-sim = true
-allow_host = ["station"]
-key_file = "key"
-"""
-
-
 TARGETS: dict[str, Target] = {
     "frames": Target(_read_frames, _streams, share=330),
     "frames with a key": Target(lambda d: _read_frames(d, _cipher()), _streams, share=200),
@@ -468,9 +458,6 @@ TARGETS: dict[str, Target] = {
         files.hex_lines,
         lambda: [b"aa 10:00 0x00", *(one.hex().encode() for one in _streams()[:30])],
         (UsageError,),
-    ),
-    "station's file": Target(
-        files.of_file(files.station_file), lambda: [_STATION.encode()], (UsageError,)
     ),
     "station's environment": Target(
         files.station_environment, lambda: [b"9090", b"0x10", b"/dev/ttyUSB0"]

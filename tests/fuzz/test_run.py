@@ -77,8 +77,6 @@ ONCE = [
     ("configuration", b"[defaults]\ntimeout = " + b"[" * 3000),
     ("rights", b"site = " + b"9" * 4400),
     ("rights", b"site = " + b"[" * 3000),
-    ("station's file", b"station = 1"),
-    ("station's file", b"[station]\ntimeout = " + b"9" * 400),
     ("URL", b"replay://%" + b"x" * 300),
     ("URL", b"replay://~nobody_of_that_name/flight.mcap"),
     ("console's events", b'{"name": [], "value": 1}'),

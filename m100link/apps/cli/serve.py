@@ -55,12 +55,10 @@ class RunOptions:
     """How a station runs, and how it reports.
 
     Attributes:
-        config: TOML file with settings.
         show_config: Print each setting with its source, and end.
         single_process: Let one process both fly and serve clients: for debugging, not for flight.
     """
 
-    config: Annotated[Path | None, Parameter(env_var="M100LINK_CONFIG")] = None
     json_output: Json = False
     show_config: bool = False
     single_process: Annotated[bool, _RARE] = False
@@ -286,7 +284,6 @@ def settings_of(
     settings = resolve(
         flags | more,
         os.environ,
-        config=options.run.config,
         launch=launch,
         of_aircraft=configuration.sources_of_station,
     )

@@ -14,9 +14,9 @@ from xml.parsers import expat
 
 from m100link.apps.station.web.access_control import Access, AccessControl, is_loopback
 from m100link.errors import UsageError
-from m100link.errors.texts import read_path, read_toml
+from m100link.errors.texts import read_path
 from m100link.errors.usage import unread
-from m100link.link.keyfile import read_key, read_token, read_watched
+from m100link.link.keyfile import read_key, read_token
 from m100link.protocol.commands.activation import Credentials
 
 if TYPE_CHECKING:
@@ -312,7 +312,6 @@ def resolve(
     flags: Mapping[str, Any],  # values from the command line; None where nothing was given
     environment: Mapping[str, str],
     *,
-    config: Path | None = None,  # TOML file
     launch: Path | None = None,  # ROS launch file
     # The weakest sources, by the URL of the others; a ``url`` there is what that one stands for.
     of_aircraft: Callable[[str | None], Sources] | None = None,
@@ -332,8 +331,6 @@ def resolve(
             },
         ),
     ]
-    if config is not None:
-        sources.append((str(config), _read_toml(config)))
     unused: list[str] = []
     if launch is not None:
         used, unused = read_launch(launch)
@@ -381,24 +378,6 @@ def _is_shadowed(name: str, values: Mapping[str, Any]) -> bool:
     """A key of a stronger source hides a key file of a weaker one, and the other way round."""
     twins = {"key": "key_file", "key_file": "key", "token": "token_file", "token_file": "token"}
     return twins.get(name) in values
-
-
-def _read_toml(path: Path) -> Mapping[str, Any]:
-    try:
-        with read_path(path).open("rb") as file:
-            table = read_toml(read_watched(file, path))
-    except OSError as error:
-        raise unread(path, error) from error
-    except ValueError as error:
-        raise UsageError(f"{path} is not TOML: {error}", remedy="mend that line") from error
-    table = table.get("station", table)
-    if not isinstance(table, dict):
-        raise UsageError(f"{path}: station is not a table", remedy="[station] on a line of its own")
-    for name in table:
-        if name not in _KINDS:
-            known = ", ".join(_KINDS)
-            raise UsageError(f"{path}: there is no setting {name!r}", remedy=f"there are: {known}")
-    return table
 
 
 _NOT_BELOW_0 = ("record_keep", "record_keep_mb")
