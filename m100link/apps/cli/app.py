@@ -174,22 +174,6 @@ EXAMPLES = {
 
 _FIRST = ("m100link demo", "m100link console --sim", "m100link takeoff --help")
 
-# Forms of options that did nothing: scripts that have them still run.
-_NO_OPS = re.compile(
-    "--empty-[a-z0-9-]+|--no-(activated|authority|by-serial|cold|csv|deaf|follow-yaw-reversed|force"
-    "|gimbal-follows|hotpoint-acks|install|inverted|json|mute|never-logged-in|radio|rates|relative"
-    "|show-config|single-process|yes)"
-)
-
-# Former names of options: scripts that have them still run; the help has today's names.
-_FORMER = {
-    "info": {"--seconds": "--duration"},
-    "sim": {"--for": "--duration"},
-    "serve": {"--baud-rate": "--baud"},
-    "console": {"--baud-rate": "--baud"},
-}
-
-
 # An option that is off by default needs no negative form.
 _DEFAULT = Parameter(negative_bool=(), negative_iterable=(), show_default=shown_default)
 
@@ -267,18 +251,6 @@ def run() -> None:
     sys.exit(status)
 
 
-def _renamed(words: list[str]) -> list[str]:
-    """The words with today's names of options."""
-    former = _FORMER.get(words[0], {}) if words else {}
-    options = words[: words.index("--")] if "--" in words else words
-    made = []
-    for word in options:
-        name, *value = word.split("=", 1)
-        if not _NO_OPS.fullmatch(word):
-            made.append("=".join([former.get(name, name), *value]))
-    return made + words[len(options) :]
-
-
 def _useless(error: UnusedCliTokensError | UnknownCommandError) -> UsageError:
     """Words that name no verb, or that a verb has no use for; and the nearest verb."""
     called, words = " ".join(("m100link", *(error.command_chain or ()))), error.unused_tokens or []
@@ -294,7 +266,7 @@ def _status_of(words: list[str]) -> int:
     asked = app if VERBS.keys() & set(words) else application(overview=True)
     try:
         show_warnings()
-        verb, bound, _ = asked.parse_args(_renamed(words), exit_on_error=False, print_error=False)
+        verb, bound, _ = asked.parse_args(words, exit_on_error=False, print_error=False)
         if signal.getsignal(signal.SIGINT) is end_at_once:
             signal.signal(signal.SIGINT, signal.default_int_handler)
         with logging_as_asked(bound.arguments.values()):

@@ -223,42 +223,11 @@ def test_an_option_has_one_spelling_and_one_sentence() -> None:
                 assert seen.setdefault(name, told) == told, verb
 
 
-@pytest.mark.parametrize(
-    "words",
-    [("info", "sim://", "--duration", "0.1", "--no-json"), ("serve", "--empty-remap", "--baud=x")],
-)
-def test_forms_of_options_that_did_nothing_still_do_nothing(
-    cli: CommandLine, words: tuple[str, ...]
-) -> None:
-    assert cli(*words) == cli(*(word for word in words if not word.startswith(("--no", "--em"))))
-
-
 def test_a_log_level_that_does_not_exist(cli: CommandLine, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("M100LINK_LOG", "LOUD")
     outcome = cli("info", "sim://")
     assert outcome.status == ExitCode.USAGE
     assert "DEBUG, INFO, WARNING or ERROR" in outcome.err
-
-
-@pytest.mark.parametrize(
-    ("former", "today"),
-    [
-        (("info", "sim://", "--seconds", "0"), ("info", "sim://", "--duration", "0")),
-        (("info", "sim://", "--seconds=0"), ("info", "sim://", "--duration=0")),
-        (("sim", "--for", "0"), ("sim", "--duration", "0")),
-        (("serve", "--baud-rate", "x"), ("serve", "--baud", "x")),
-        (("console", "--baud-rate=x"), ("console", "--baud=x")),
-    ],
-    ids=lambda words: " ".join(words),
-)
-def test_an_option_is_known_by_its_former_name_and_shown_by_todays(
-    cli: CommandLine, former: tuple[str, ...], today: tuple[str, ...]
-) -> None:
-    assert cli(*former) == cli(*today)
-    option = next(word for word in today if word.startswith("--")).partition("=")[0]
-    told = cli(today[0], "--help").out
-    assert option in told
-    assert former[-1 if "=" in former[-1] else -2].partition("=")[0] + " " not in told
 
 
 def test_a_warning_goes_to_what_standard_error_is_then(cli: CommandLine) -> None:
