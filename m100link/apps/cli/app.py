@@ -104,10 +104,9 @@ _ROWS = {
         ("fleet log audit", "", "a1", "--all --to audit"),
         ("fleet log fetch", "", "a1", "--all --last --to logs"),
         ("fleet pki revoke", "", "anna --folder pki", "anna bert --folder pki --json"),
-        ("fleet pki list", "", "--folder pki", "--folder pki --json"),
         ("fleet pki push", "", "a1 --folder pki", "--all --identity anna --pki pki"),
-        ("fleet acl check", "", "fleet.toml", "fleet.toml --who anna --pki pki"),
-        ("fleet acl zenoh", "", "fleet.toml router.json", "fleet.toml - --pki pki"),
+        ("fleet acl check", "", "fleet.toml", "fleet.toml --who anna --json"),
+        ("fleet acl zenoh", "", "fleet.toml router.json", "fleet.toml -"),
     ),
     "Logs": (
         ("record", "log", "sim:// -o flight.mcap --duration 2", "lab-m100"),

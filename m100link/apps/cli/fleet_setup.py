@@ -6,6 +6,7 @@ import asyncio
 import json
 import os
 import webbrowser
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from datetime import UTC, datetime
 from functools import partial
@@ -51,10 +52,10 @@ from m100link.apps.fleet.identity import BadRights, Rights
 from m100link.apps.fleet.keys import DEFAULT_SITE
 from m100link.apps.fleet.logs.service import RATE
 from m100link.apps.fleet.lost_link import LostAction, LostLinkPlan
-from m100link.apps.fleet.pki import BOARDS, explain, listed, router_config
+from m100link.apps.fleet.pki import BOARDS, explain, router_config
 from m100link.apps.fleet.pki import make as make_certificates
 from m100link.apps.fleet.pki import revoke as revoke_names
-from m100link.apps.fleet.revocations import LIST, Revocations, bring
+from m100link.apps.fleet.revocations import AUTHORITY, LIST, Revocations, bring
 from m100link.apps.station.config import ONLY_NAME, Settings, resolve
 from m100link.apps.station.fleet import (
     FleetSettings,
@@ -336,10 +337,8 @@ async def _serve_console(
 # -- ``m100link fleet pki`` and ``fleet acl``: certificates, and who may do what -------------------
 
 
-pki = group("pki", "List and revoke certificates and signing keys of a fleet.")
+pki = group("pki", "Revoke certificates and signing keys of a fleet.")
 acl = group("acl", "List the rights in a fleet file; write a router's rules from it.")
-
-Pki = Annotated[Path | None, Parameter(env_var="M100LINK_PKI")]
 
 
 @pki.command
@@ -371,21 +370,6 @@ def revoke(
     )
 
 
-@pki.command(name="list")
-def list_(*, folder: Path = Path(), json: AsJson = None) -> int:
-    """List the certificates in a folder: when each expires, and which are revoked.
-
-    Args:
-        folder: Folder of the authority, or another one with certificates and ca.pem.
-    """
-    for name, ends, since in listed(folder):
-        facts = {"name": name, "ends": ends.isoformat(), "revoked": since or None}
-        over = "d" if ends <= datetime.now(UTC) else "s"
-        text = f"revoked since {since}" if since else f"expire{over} {ends:%Y-%m-%d}"
-        tell(facts, f"{name}: {text}", as_json=wants_json(json))
-    return ExitCode.OK
-
-
 @pki.command
 async def push(
     *names: Names,
@@ -415,24 +399,16 @@ async def push(
 
 
 @acl.command
-def check(
-    file: File,
-    /,
-    *,
-    who: tuple[str, ...] = (),
-    pki: Pki = None,
-    json: AsJson = None,
-) -> int:
-    """List what each identity may do with each aircraft.
+def check(file: File, /, *, who: tuple[str, ...] = (), json: AsJson = None) -> int:
+    """List what each identity may do with each aircraft; one that is revoked beside it: nothing.
 
     Args:
         file: A fleet file, TOML.
         who: Name of an identity; may be repeated. All identities by default.
-        pki: Folder with revoked.list and ca.pem (M100LINK_PKI): revoked names have no rights.
     """
     rights = Rights.read(file)
     as_json = wants_json(json)
-    revocations = None if pki is None else Revocations.of_folder(pki, rights)
+    revoked = _revoked_beside(rights)
     for name in who or tuple(rights.identities):
         one = rights.identities.get(name)
         if one is None:
@@ -442,7 +418,7 @@ def check(
                 remedy=f"name one of {', '.join(rights.identities) or 'none'}",
             )
         found = explain(rights, name)
-        since = "" if revocations is None else revocations.since(name)
+        since = revoked.get(name, "")
         if since:
             found = [(aircraft, None) for aircraft, _ in found]
         may = {aircraft: right and right.name.lower() for aircraft, right in found}
@@ -459,6 +435,11 @@ def check(
     return ExitCode.OK
 
 
+def _revoked_beside(rights: Rights) -> Mapping[str, str]:
+    is_there = (rights.pki / AUTHORITY).exists()
+    return Revocations.of_folder(rights.pki).revoked.names if is_there else {}
+
+
 _MAY = {Right.WATCH: "watch and fetch logs", Right.STOP: "stop", Right.FLY: "fly"}
 
 
@@ -469,8 +450,8 @@ def _words(right: Right | None) -> str:
 
 
 @acl.command
-def zenoh(file: File, target: File, /, *, pki: Pki = None, force: Force = False) -> int:
-    """Write the rules of a zenoh router from a fleet file.
+def zenoh(file: File, target: File, /, *, force: Force = False) -> int:
+    """Write the rules of a zenoh router from a fleet file, none for names revoked beside it.
 
     They are the value of access_control in its configuration. The router knows clients by the
     common name of the certificate, so it has to ask for one.
@@ -478,11 +459,9 @@ def zenoh(file: File, target: File, /, *, pki: Pki = None, force: Force = False)
     Args:
         file: A fleet file, TOML.
         target: The JSON file to write; - is standard output.
-        pki: Folder with revoked.list and ca.pem (M100LINK_PKI): revoked names get no rules.
     """
     rights = Rights.read(file)
-    if pki is not None:
-        rights = rights.without(Revocations.of_folder(pki).revoked.names)
+    rights = rights.without(_revoked_beside(rights))
     text = json.dumps({"access_control": router_config(rights)}, indent=2) + "\n"
     write_out(target, text, force=force)
     return ExitCode.OK
