@@ -183,7 +183,6 @@ site = "lab"
 a1 = "a1"
 
 [identity.anna]
-common_name = "anna"
 rights = ["watch", "stop", "fly"]
 aircraft = ["a1"]
 """

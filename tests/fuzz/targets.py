@@ -335,7 +335,6 @@ _ORDERS = [
 _RIGHTS = """site = "field"
 [aircraft.a1]
 [aircraft.a2]
-common_name = "board-7"
 [identity.anna]
 public_key = "{}"
 fly = ["a1"]

@@ -423,12 +423,12 @@ def check(file: File, /, *, who: tuple[str, ...] = (), json: AsJson = None) -> i
             found = [(aircraft, None) for aircraft, _ in found]
         may = {aircraft: right and right.name.lower() for aircraft, right in found}
         signs = one.public_key is not None
-        facts = {"who": name, "certificate": one.common_name, "signs": signs, "may": may}
+        facts = {"who": name, "signs": signs, "may": may}
         signs_text = "signs orders" if signs else "signs nothing: agents obey no order"
         signs_text = f"revoked since {since}" if since else signs_text
         tell(
             facts | ({"revoked": since} if since else {}),
-            f"{name} (certificate {one.common_name}, {signs_text})",
+            f"{name} ({signs_text})",
             *(f"  {aircraft}: {_words(right)}" for aircraft, right in found),
             as_json=as_json,
         )

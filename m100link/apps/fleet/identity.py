@@ -36,7 +36,7 @@ from m100link.protocol.firmware import PROFILES
 #     hosts = ["10.0.0.1"]           # names and addresses by which the others reach it
 #     [defaults]                     # for every aircraft that does not say otherwise
 #     lost = "land"
-#     [aircraft.a1]                  # its certificate is a1, unless common_name says another one
+#     [aircraft.a1]
 #     url = "/dev/ttyUSB0"
 #     [identity.anna]
 #     fly = ["a1", "b*"]             # who may fly may stop and watch, too
@@ -53,7 +53,7 @@ _PATTERN = re.compile(rf"{NAME.pattern}\*?|\*")
 _KEY = re.compile(r"[0-9a-fA-F]{64}")
 _HOST = re.compile(r"[A-Za-z0-9]([A-Za-z0-9.-]{0,251}[A-Za-z0-9])?")
 _LARGEST = 1024 * 1024
-_FIELDS = ("common_name", "public_key", "watch", "stop", "fly")
+_FIELDS = ("public_key", "watch", "stop", "fly")
 _TABLES = ("router", "defaults", "aircraft", "identity", "console")
 _CONSOLE = (
     *("identity", "host", "console_port", "allow_host", "allow_origin"),
@@ -86,8 +86,7 @@ class BadRights(
 class Identity:
     """An operator or a program with rights."""
 
-    name: str  # by which orders are signed
-    common_name: str  # of the certificate
+    name: str  # by which orders are signed; the common name of its certificate
     public_key: bytes | None  # of the signing key, 32 bytes; None for who signs nothing
     # Which aircraft, by right: names, or a beginning and ``*``.
     patterns: Mapping[Right, tuple[str, ...]]
@@ -138,7 +137,7 @@ class Rights:
     """A fleet file: routers, aircraft, their settings, and the rights of operators."""
 
     site: str  # whose aircraft they are
-    aircraft: Mapping[str, str]  # name of each, and the common name of its agent's certificate
+    aircraft: tuple[str, ...]  # names, which are the common names of their certificates
     identities: Mapping[str, Identity]
     routers: Mapping[str, Router] = field(default_factory=dict)
     settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # of each aircraft
@@ -159,24 +158,19 @@ class Rights:
     def digest(self) -> str:
         """The rights and keys in 16 hex digits: others have another one."""
         people = [
-            [name, one.common_name, (one.public_key or b"").hex()]
-            + [sorted(one.patterns[right]) for right in Right]
+            [name, (one.public_key or b"").hex()] + [sorted(one.patterns[right]) for right in Right]
             for name, one in sorted(self.identities.items())
         ]
-        said = json.dumps([self.site, sorted(self.aircraft.items()), people])
+        said = json.dumps([self.site, sorted(self.aircraft), people])
         return hashlib.sha256(said.encode()).hexdigest()[:16]
 
     def without(self, names: Collection[str]) -> Self:
-        """The same without those whose name or certificate is among these."""
+        """The same without those whose name is among these."""
         return replace(
             self,
             routers={name: one for name, one in self.routers.items() if name not in names},
-            aircraft={one: cn for one, cn in self.aircraft.items() if cn not in names},
-            identities={
-                name: one
-                for name, one in self.identities.items()
-                if name not in names and one.common_name not in names
-            },
+            aircraft=tuple(name for name in self.aircraft if name not in names),
+            identities={name: one for name, one in self.identities.items() if name not in names},
         )
 
     def identity(self, name: str) -> Identity | None:
@@ -246,31 +240,27 @@ class Rights:
         _require(NAME, site, "site", "site")
         routers = {name: _router(name, one) for name, one in _tables(found, "router").items()}
         defaults = _settings(_table(found, "defaults"), "defaults")
-        aircraft, settings = {}, {}
-        for name, table in _tables(found, "aircraft").items():
-            here = ("aircraft", name)
-            aircraft[name] = _common_name(table, *here)
-            own = {key: value for key, value in table.items() if key != "common_name"}
-            settings[name] = {**defaults, **_settings(own, *here)}
+        settings = {
+            name: {**defaults, **_settings(table, "aircraft", name)}
+            for name, table in _tables(found, "aircraft").items()
+        }
         people = {name: _identity(name, one) for name, one in _tables(found, "identity").items()}
-        known: dict[str, tuple[str, ...]] = {"ca": ()}
-        for kind, name, common_name in (
-            *(("router", name, name) for name in routers),
-            *(("aircraft", name, common_name) for name, common_name in aircraft.items()),
-            *(("identity", name, one.common_name) for name, one in people.items()),
-        ):
+        known = {"ca"}
+        named = {"router": routers, "aircraft": settings, "identity": people}
+        for kind, name in ((kind, name) for kind, names in named.items() for name in names):
             if name == "console" and kind != "identity":
                 seen = f"{'an aircraft' if kind == 'aircraft' else 'a router'} is named console"
                 raise _Wrong(seen, kind, name, remedy="so `fleet up` names the console")
-            if known.setdefault(common_name, (kind, name)) != (kind, name):
+            if name in known:
                 raise _Wrong(
-                    f"two entries have the common name {common_name}",
+                    f"two entries are named {name}",
                     kind,
                     name,
                     cause="the router knows clients by their certificates alone; ca is the "
                     "authority's",
-                    remedy="give each of them a certificate of its own",
+                    remedy="give each of them a name of its own",
                 )
+            known.add(name)
         console = _table(found, "console")
         _refuse_unknown(console, _CONSOLE, "console")
         if console and console.get("identity") not in list(people):
@@ -279,7 +269,7 @@ class Rights:
                 *("console", "identity"),
                 remedy=f"one of {', '.join(people) or 'none: write [identity.NAME]'}",
             )
-        return cls(site, aircraft, people, routers, settings, console)
+        return cls(site, tuple(settings), people, routers, settings, console)
 
 
 class _Wrong(Exception):
@@ -353,12 +343,6 @@ def _tables(found: Mapping[str, Any], name: str) -> dict[str, dict[str, Any]]:
     return tables
 
 
-def _common_name(table: Mapping[str, Any], kind: str, name: str) -> str:
-    common_name: str = table.get("common_name", name)
-    _require(NAME, common_name, f"common_name of {name}", kind, name, "common_name")
-    return common_name
-
-
 def _router(name: str, table: Mapping[str, Any]) -> Router:
     here = ("router", name)
     _refuse_unknown(table, ("hosts", "port"), *here)
@@ -385,7 +369,7 @@ def _settings(table: Mapping[str, Any], *here: str) -> dict[str, Any]:
     """The settings of an aircraft, or of all of them."""
     whose = here[-1]
     known = [name for name in _WANTED if here != ("defaults",) or name != "url"]
-    _refuse_unknown(table, (*known, "common_name")[: None if len(here) > 1 else -1], *here)
+    _refuse_unknown(table, known, *here)
     for name, value in table.items():
         number = value if type(value) in (int, float) else math.nan
         is_right = {
@@ -419,8 +403,7 @@ def _identity(name: str, table: Mapping[str, Any]) -> Identity:
             wanted = 'a name, "b*" or "*"'
             _require(_PATTERN, pattern, f"{word} of {name}", *here, word, remedy=wanted)
         patterns[right] = tuple(listed)
-    common_name = _common_name(table, *here)
-    return Identity(name, common_name, None if key is None else bytes.fromhex(key), patterns)
+    return Identity(name, None if key is None else bytes.fromhex(key), patterns)
 
 
 def _require(

@@ -243,7 +243,7 @@ def make(rights: Rights, *, now: datetime, renews: bool = False) -> dict[str, da
     """
     wanted: dict[str, tuple[Kind, tuple[str, ...]]] = {
         **{name: (Kind.ROUTER, one.hosts) for name, one in rights.routers.items()},
-        **{one: (Kind.AGENT, ()) for both in rights.aircraft.items() for one in both},
+        **dict.fromkeys(rights.aircraft, (Kind.AGENT, ())),
         **dict.fromkeys(rights.identities, (Kind.PILOT, ())),
     }
     folder, made = rights.pki, {}
@@ -502,21 +502,19 @@ def router_config(rights: Rights) -> dict[str, Any]:
     subjects: list[dict[str, Any]] = []
     policies: list[dict[str, Any]] = []
     parts = [
-        *((f"agent {name}", cn, _of_agent(rights, name)) for name, cn in rights.aircraft.items()),
-        *(
-            (f"identity {one.name}", one.common_name, _of_identity(rights, one))
-            for one in rights.identities.values()
-        ),
-        *((f"router {name}", name, _of_router(rights)) for name in rights.routers),
+        *(("agent", name, _of_agent(rights, name)) for name in rights.aircraft),
+        *(("identity", name, _of_identity(rights, one)) for name, one in rights.identities.items()),
+        *(("router", name, _of_router(rights)) for name in rights.routers),
     ]
-    for who, common_name, made in parts:
+    for kind, name, made in parts:
+        who = f"{kind} {name}"
         mine = [
             {"id": f"{who}: {number}", "permission": "allow"} | rule
             for number, rule in enumerate(made)
             if rule["key_exprs"]
         ]
         rules += mine
-        subjects.append({"id": who, "cert_common_names": [common_name]})
+        subjects.append({"id": who, "cert_common_names": [name]})
         if mine:
             policies.append({"rules": [rule["id"] for rule in mine], "subjects": [who]})
     return {

@@ -157,11 +157,10 @@ class Revocations:
         self,
         authority: x509.Certificate,  # whose lists are believed
         path: Path | None = None,  # where the list is kept; None: nowhere
-        rights: Rights | None = None,  # who has which certificate: a name of either kind is revoked
+        rights: Rights | None = None,  # the fleet file beside it, whose digest is told
     ) -> None:
         self.authority = authority
-        self._path = path
-        self.rights = rights
+        self._path, self.rights = path, rights
         self._seen: object = None
         self._kept = b""
         self._keeping = asyncio.Lock()
@@ -198,11 +197,8 @@ class Revocations:
         return self.revoked.number
 
     def since(self, name: str) -> str:
-        """Since when a name is revoked, as itself or as that of its certificate; or empty."""
-        names = self.revoked.names
-        one = None if self.rights is None else self.rights.identity(name)
-        common_name = name if one is None else one.common_name
-        return names.get(name) or names.get(common_name, "")
+        """Since when a name is revoked; empty if it is not."""
+        return self.revoked.names.get(name, "")
 
     def take_in(self, data: bytes) -> bool:
         """Put a list into force, if it is newer; whether it is.

@@ -68,7 +68,7 @@ def agent_of(rights: Rights, name: str, *, is_real: bool) -> FleetSettings:
         rights.site,
         LostLinkPlan(table.get("lost", "hover"), table.get("lost_after", 10.0)),
         default_order_logs() if is_real else None,
-        tls_options(rights.pki, rights.aircraft[name]),
+        tls_options(rights.pki, name),
         seals={name: Seal.read(rights.pki, name)},
         authority=revocations,
         verify=verifying(rights, [name], time.time, revocations.since),
@@ -158,7 +158,7 @@ def credentials(rights: Rights, who: str) -> dict[str, Any]:
     return {
         "sign": signing(read_signer(rights.pki, who)),
         "authority": Revocations.of_folder(rights.pki),
-        "options": tls_options(rights.pki, rights.identities[who].common_name),
+        "options": tls_options(rights.pki, who),
     }
 
 
@@ -282,10 +282,10 @@ def _of_files(rights: Rights) -> list[FleetFault]:
     """The faults of certificates and keys beside the file."""
     found: list[FleetFault] = []
     remedy = f"m100link fleet make {rights.path}, and copy boards/{{}} there"
-    own = {*rights.routers, *rights.aircraft.values(), *rights.identities}
+    own = {*rights.routers, *rights.aircraft, *rights.identities}
     for name, ends, since in listed(rights.pki):
         if since and name in own:
-            why = "issue a certificate under another name, and write that into the fleet file"
+            why = "give it another name in the fleet file, then m100link fleet make"
             found.append(FleetFault("revoked name", name, f"{name} is revoked since {since}", why))
         elif ends <= datetime.now(UTC) and name in own:
             seen = f"the certificate of {name} expired on {ends:%Y-%m-%d}"

@@ -115,15 +115,13 @@ def rights(tmp_path: Path) -> str:
 
 def test_what_somebody_may_do(cli: CommandLine, rights: str) -> None:
     outcome = cli("fleet", "acl", "check", rights, "--who", "anna")
-    assert outcome.objects == [
-        {"who": "anna", "certificate": "anna", "signs": True, "may": {"a1": "fly", "a2": None}}
-    ]
+    assert outcome.objects == [{"who": "anna", "signs": True, "may": {"a1": "fly", "a2": None}}]
     assert [one["who"] for one in cli("fleet", "acl", "check", rights).objects] == ["anna", "wall"]
     assert cli("fleet", "acl", "check", rights, "--table").out.splitlines() == [
-        "anna (certificate anna, signs orders)",
+        "anna (signs orders)",
         "  a1: watch and fetch logs, stop, fly",
         "  a2: nothing",
-        "wall (certificate wall, signs nothing: agents obey no order)",
+        "wall (signs nothing: agents obey no order)",
         "  a1: watch and fetch logs",
         "  a2: watch and fetch logs",
         "  *: watch and fetch logs",
@@ -165,7 +163,7 @@ def test_a_revoked_name_is_shown_everywhere(cli: CommandLine, rights: str) -> No
     assert (told["revoked"], told["may"]) == (since, {"a1": None, "a2": None})
     words = cli("fleet", "acl", "check", rights, "--who", "anna", "--table").out
     assert words.splitlines() == [
-        f"anna (certificate anna, revoked since {since})",
+        f"anna (revoked since {since})",
         "  a1: nothing",
         "  a2: nothing",
     ]

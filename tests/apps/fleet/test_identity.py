@@ -316,7 +316,6 @@ site = "field"
 
 [aircraft.a1]
 [aircraft.a2]
-common_name = "board-7"
 [aircraft.b1]
 
 [identity.anna]
@@ -325,7 +324,6 @@ fly = ["a1"]
 stop = ["*"]
 
 [identity.wall]
-common_name = "screen"
 watch = ["a*"]
 """.format(key="0a" * 32)
 
@@ -353,14 +351,14 @@ def test_the_rights_of_each_name(who: str, aircraft: str, most: Right | None, ri
     assert identity.may(right, aircraft) == (most is not None and right <= most)
 
 
-def test_names_keys_and_common_names_are_as_the_file_says() -> None:
+def test_names_and_keys_are_as_the_file_says() -> None:
     rights = Rights.parse(FILE)
     assert rights.site == "field"
-    assert rights.aircraft == {"a1": "a1", "a2": "board-7", "b1": "b1"}
+    assert rights.aircraft == ("a1", "a2", "b1")
     assert rights.identity("nobody") is None
     anna, wall = rights.identities.values()
-    assert (anna.common_name, anna.public_key) == ("anna", b"\x0a" * 32)
-    assert (wall.common_name, wall.public_key) == ("screen", None)
+    assert (anna.name, anna.public_key) == ("anna", b"\x0a" * 32)
+    assert (wall.name, wall.public_key) == ("wall", None)
     assert anna.allowed(Right.WATCH) == ("*", "a1")
     assert anna.allowed(Right.FLY) == ("a1",)
 
@@ -381,11 +379,11 @@ def test_names_keys_and_common_names_are_as_the_file_says() -> None:
         ('[identity.anna]\nfly = ["a/b"]', "fly of anna is 'a/b'"),
         ("[identity.anna]\nfly = [1]", "fly of anna is 1"),
         ('[identity.anna]\npublic_key = "12"', "public_key of anna is '12'"),
-        ("[aircraft.a1]\n[identity.a1]", "two entries have the common name a1"),
-        ('[identity.x]\n[identity.y]\ncommon_name = "x"', "two entries have the common name x"),
+        ("[aircraft.a1]\n[identity.a1]", "two entries are named a1"),
+        ("[router.x]\nhosts = ['x']\n[identity.x]", "line 3: two entries are named x"),
         ("[aircraft.console]", "line 1: an aircraft is named console"),
         ("[router.console]\nhosts = ['x']", "line 1: a router is named console"),
-        ("[aircraft.ca]", "two entries have the common name ca"),
+        ("[aircraft.ca]", "two entries are named ca"),
         ('[aircraft."../../x"]', "line 1: aircraft is '../../x'"),
         ('[aircraft."a\\u001b[2J"]', "line 1: aircraft is 'a\\x1b[2J'"),
         ("\n[aircraft.a1]\n\nlost = 'fall'", "line 4: lost of a1 is 'fall'"),
@@ -478,14 +476,12 @@ def test_files_that_cannot_be_read_are_named(tmp_path: Path) -> None:
         Rights.read(tmp_path / "rights.toml")
 
 
-def test_without_somebody_nothing_is_left_of_him_by_either_name() -> None:
+def test_without_somebody_nothing_is_left_of_him() -> None:
     rights = Rights.parse(
         """
 [aircraft.a1]
 [aircraft.a2]
-common_name = "board-2"
 [identity.anna]
-common_name = "laptop-7"
 fly = ["*"]
 [identity.bert]
 stop = ["*"]
@@ -493,9 +489,8 @@ stop = ["*"]
     )
     for names, aircraft, people in (
         ({"anna"}, {"a1", "a2"}, {"bert"}),
-        ({"laptop-7"}, {"a1", "a2"}, {"bert"}),
-        ({"board-2", "bert"}, {"a1"}, {"anna"}),
-        ({"a2"}, {"a1", "a2"}, {"anna", "bert"}),  # no certificate has that name
+        ({"a2", "bert"}, {"a1"}, {"anna"}),
+        ({"eve"}, {"a1", "a2"}, {"anna", "bert"}),
         ((), {"a1", "a2"}, {"anna", "bert"}),
     ):
         left = rights.without(names)

@@ -55,7 +55,6 @@ NORTH = Setpoint.velocity(north=3.0, east=0.0, up=0.0, yaw_rate_deg_s=0.0)
 RIGHTS = Rights.parse(
     f"""
 [identity.anna]
-common_name = "laptop-7"
 public_key = "{ANNA.public_key.hex()}"
 fly = ["a1"]
 [identity.bert]
@@ -74,7 +73,7 @@ class Site:
         self.onboard = folder / "board"
         self.onboard.mkdir()
         (self.onboard / "ca.pem").write_bytes((self.ca / "ca.pem").read_bytes())
-        self.revocations = Revocations.of_folder(self.onboard, RIGHTS)
+        self.revocations = Revocations.of_folder(self.onboard)
 
     async def begin(self, **options: Any) -> None:
         since = self.revocations.since
@@ -112,11 +111,8 @@ async def site(rig: Rig, tmp_path: Path) -> Site:
     return Site(rig, tmp_path)
 
 
-@pytest.mark.parametrize("name", ["anna", "laptop-7"], ids=["identity", "certificate"])
 @pytest.mark.parametrize("way", ["network", "file"])
-async def test_what_is_flown_hovers_and_nothing_more_is_obeyed(
-    site: Site, name: str, way: str
-) -> None:
+async def test_what_is_flown_hovers_and_nothing_more_is_obeyed(site: Site, way: str) -> None:
     await site.begin()
     rig, one, refused = site.rig, site.one, []
 
@@ -131,7 +127,7 @@ async def test_what_is_flown_hovers_and_nothing_more_is_obeyed(
     async with anyio.create_task_group() as group:
         group.start_soon(fly)
         await rig.until(lambda: one.speed > 2.5)
-        data = site.revoked(name)
+        data = site.revoked("anna")
         if way == "network":
             assert await site.push(data) == 1
         else:
@@ -253,7 +249,7 @@ async def test_a_newer_list_counts_and_an_older_one_never_again(site: Site, tmp_
     assert await site.push(second) == 2, "brought again it is no mistake"
     assert await site.push(b"") == 2
     assert (site.onboard / LIST).read_bytes() == second
-    again = Revocations.of_folder(site.onboard, RIGHTS)
+    again = Revocations.of_folder(site.onboard)
     assert (again.number, again.since("anna"), again.since("bert")) == (2, "2026-11-22", "")
     (site.onboard / LIST).write_bytes(first)
     await anyio.sleep(3.0)
@@ -627,8 +623,8 @@ async def test_a_file_is_read_when_it_was_written_anew_and_kept_for_all_to_read(
 
 def test_a_newer_list_alone_comes_into_force_and_once(tmp_path: Path) -> None:
     authority, path = Authority(tmp_path / "ca"), tmp_path / LIST
-    first, second = (revoke(authority.folder, [name], now=NOW).data for name in ("eve", "laptop-7"))
-    one, told = Revocations(authority.certificate, path, RIGHTS), list[int]()
+    first, second = (revoke(authority.folder, [name], now=NOW).data for name in ("eve", "anna"))
+    one, told = Revocations(authority.certificate, path), list[int]()
     one.on_change.append(lambda: told.append(one.number))
     assert (one.read(), one.number) == (False, 0)
     path.write_bytes(second)
@@ -638,8 +634,7 @@ def test_a_newer_list_alone_comes_into_force_and_once(tmp_path: Path) -> None:
         with pytest.raises(BadRevoked, match="list 2 is in force"):
             one.take_in(older)
     assert told == [2]
-    since = [one.since(name) for name in ("anna", "laptop-7", "eve", "bert")]
-    assert since == ["2026-11-22", "2026-11-22", "2026-11-22", ""], "by certificate, too"
+    assert [one.since(name) for name in ("anna", "eve", "bert")] == ["2026-11-22"] * 2 + [""]
 
 
 async def test_a_list_is_brought_to_nobody_where_no_agent_is_present() -> None:
