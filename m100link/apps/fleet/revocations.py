@@ -157,7 +157,7 @@ class Revocations:
         self,
         authority: x509.Certificate,  # whose lists are believed
         path: Path | None = None,  # where the list is kept; None: nowhere
-        rights: Rights | None = None,  # the fleet file beside it, whose digest is told
+        rights: Rights | None = None,  # the fleet file beside it; answers have its digest
     ) -> None:
         self.authority = authority
         self._path, self.rights = path, rights
