@@ -44,8 +44,6 @@ class PathSteering:
 
 @dataclass(frozen=True, slots=True)
 class _Leg:
-    """A straight piece."""
-
     start: tuple[float, float]  # north and east, m
     ahead: tuple[float, float]  # direction, of length 1
     length: float  # m
@@ -62,8 +60,6 @@ class _Leg:
 
 @dataclass(frozen=True, slots=True)
 class _Bend:
-    """A rounded corner."""
-
     centre: tuple[float, float]  # north and east, m
     radius: float  # m
     start: float  # bearing of its first point from the centre, rad

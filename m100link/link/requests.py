@@ -361,7 +361,6 @@ def _key_rejected(name: str) -> KeyRejected:
 
 
 def _ignored(kind: type[CommandRefused], command: Command, code: SystemCode) -> CommandRefused:
-    """The error for what would be ignored in silence."""
     seen = f"{command.NAME} was not sent, it would be ignored: {code.meaning}"
     return kind(seen, command=command.NAME, code=int(code), cause=code.cause, remedy=code.remedy)
 
@@ -369,7 +368,6 @@ def _ignored(kind: type[CommandRefused], command: Command, code: SystemCode) -> 
 def _system_error(
     name: str, code: AckCode, encrypted: bool, refusal: type[CommandRefused]
 ) -> CommandRefused | KeyRejected:
-    """The error for a system code."""
     if code == SystemCode.NOT_SUPPORTED and encrypted:
         return _key_rejected(name)
     kind = {

@@ -453,7 +453,6 @@ def _of_document(layout: Layout) -> Layout:
 
 
 def _lua(value: Any) -> str:
-    """A value of Python as Lua writes it."""
     if value is None:
         return "nil"
     if isinstance(value, bool):

@@ -220,8 +220,6 @@ class _TelemetryReader:
 
 
 class _NoteReader:
-    """Makes sentences of notes."""
-
     def __init__(self) -> None:
         self._holder, self._limits = "", ""
         self._readers: dict[str, Callable[[dict[str, Any]], tuple[str, str]]] = {

@@ -679,7 +679,6 @@ class _SampleReader:
 
 
 def _spans(names: list[tuple[float, str]], end_s: float) -> list[Span]:
-    """The spans in which a name stayed the same."""
     spans: list[Span] = []
     for at, name in names:
         if spans:

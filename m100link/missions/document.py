@@ -63,7 +63,6 @@ def values_of(plan: PlanValues) -> dict[str, Any]:
 
 
 def _point_values(point: Waypoint) -> dict[str, Any]:
-    """Without the values that are the defaults."""
     defaults = {field.name: field.default for field in fields(Waypoint)}
     values = {name: getattr(point, name) for name in _POINT_FIELDS}
     values["actions"] = [_action_value(action) for action in point.actions]

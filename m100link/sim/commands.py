@@ -382,7 +382,6 @@ def _is_system_code(reply: CommandReply | None) -> bool:
 
 
 def _unknown(data: bytes) -> CommandReply | None:
-    """The answer to a command that this firmware does not have."""
     if data[:1] == _MISSIONS and len(data) >= 2:
         payload = refusal(data)
         return None if payload is None else CommandReply(payload)

@@ -140,7 +140,6 @@ class AccelerationReader:
         self._begin(0.0)
 
     def _begin(self, now: float) -> None:
-        """Begin a window."""
         self._start, self._count = now, 0
         self._sum = [0.0, 0.0, 0.0]
         self._speed = self._velocity

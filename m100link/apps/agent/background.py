@@ -141,7 +141,6 @@ class TaskSet:
             task.cancel()
 
     async def end(self) -> None:
-        """Cancel every task and wait for its end."""
         self.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
 

@@ -51,7 +51,6 @@ class LeaseHeld(
 
 
 def not_in_force(holder: str | None) -> LeaseRefused:
-    """The refusal of a lease that has ended; somebody else may have control."""
     return LeaseRefused(
         "this lease is not in force" + ("" if holder is None else f"; {holder} has control"),
         cause="it expired, was given back or was taken over; an ended lease never returns",

@@ -64,8 +64,6 @@ class TokenChange:
 
 
 class Held(Protocol):
-    """Something that is declared as long as it is held."""
-
     def close(self) -> None:
         """End it; may be called any number of times."""
 

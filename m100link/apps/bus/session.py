@@ -54,8 +54,6 @@ class Opening:
 
 
 class _Declared:
-    """Something of zenoh's that is declared until it is closed."""
-
     def __init__(self, declared: Any) -> None:
         self._declared: Any = declared
 

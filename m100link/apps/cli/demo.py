@@ -72,7 +72,6 @@ class _Flight:
 
     @property
     def recording(self) -> str | None:
-        """Its log, if there is one."""
         newest = None if self.flights is None else self.flights.newest
         return None if newest is None else str(newest)
 

@@ -126,7 +126,6 @@ class _Show:
         self.mission: FleetMission | None = None
 
     def tell(self, event: MissionEvent) -> None:
-        """Something happened."""
         if isinstance(event, Reached):
             self._reached.add(event.index)
         self._is_finished = self._is_finished or isinstance(event, Finished)
@@ -271,7 +270,6 @@ async def progress(name: Name, /, *, options: FleetOptions = NO_OPTIONS) -> int:
 
 
 def _progress(card: MissionCard) -> str:
-    """Where a mission is, in words."""
     if card.stage is MissionStage.NONE:
         is_none = card.kind in ("", "no mission")
         return "no mission" if is_none else f"a {card.kind}, which no operator of the fleet started"

@@ -464,7 +464,6 @@ class _Shown:
         return tell
 
     def done(self, fetched: Fetched) -> None:
-        """One is here."""
         self._at.pop(fetched.name, None)
         text = f"{fetched.size:,} bytes"
         if fetched.came < fetched.size:

@@ -44,8 +44,6 @@ _WIDEST = 100  # longer lines are hard to read
 
 @dataclass(frozen=True)
 class _Page:
-    """A page of the manual."""
-
     path: Path
     heading: str = ""  # what the index of its folder lists it under
 

@@ -177,12 +177,10 @@ class _Show:
             self._draw()
 
     def uploading(self, event: Uploading) -> None:
-        """A waypoint was taken."""
         self._line = f"uploading {self._bar(event.index + 1)} {event.index + 1} of {event.total}"
         self._draw()
 
     def tell(self, event: MissionEvent, mission: WaypointFlight) -> None:
-        """Something happened."""
         self._has_begun = True
         self._is_finished = self._is_finished or isinstance(event, Finished)
         if isinstance(event, Reached):

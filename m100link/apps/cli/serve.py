@@ -178,8 +178,6 @@ def tell_event(
 
 
 class _Station(Protocol):
-    """A running station of any kind."""
-
     @property
     def has_authority(self) -> bool: ...
     @property
@@ -563,7 +561,6 @@ _OF_ROSBRIDGE = ("port", "also_ports", "pages", "metrics_port")
 
 
 def _names(files: tuple[Path, ...]) -> list[str]:
-    """Names of the aircraft: those of their files, each only once."""
     names: list[str] = []
     for path in files:
         stem = re.sub(r"[^A-Za-z0-9_]+", "_", path.stem).strip("_") or "flight"

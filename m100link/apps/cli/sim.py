@@ -507,7 +507,6 @@ class LiveView:
 
 
 def _mission(mission: dict[str, Any]) -> tuple[str, str, str]:
-    """The state of the mission, and how far it is."""
     doing = f"{mission['kind']}: {'paused' if mission['is_paused'] else mission['doing']}"
     if "waypoint" not in mission:
         return doing, "", ""

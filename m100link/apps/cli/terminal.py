@@ -353,7 +353,6 @@ class _ToStandardError(logging.StreamHandler[TextIO]):
 
 
 def _level() -> str:
-    """The level that the environment asks for."""
     level = os.environ.get("M100LINK_LOG", "WARNING").upper()
     if level not in logging.getLevelNamesMapping():
         raise UsageError(

@@ -337,8 +337,6 @@ class Likeness:
 
 @dataclass(frozen=True, slots=True)
 class Heard:
-    """The bytes and frames of a line for a while."""
-
     data: bytes
     frames: tuple[Frame, ...]  # those with good checksums
     discarded_bytes: int  # bytes that belong to no frame

@@ -49,7 +49,6 @@ class Adapter:
 
     @property
     def is_usb(self) -> bool:
-        """Whether it hangs on USB."""
         return bool(self.vendor)
 
 

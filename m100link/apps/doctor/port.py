@@ -323,12 +323,10 @@ class Ear(asyncio.Protocol):
                 await self._ended.wait()
 
     def say(self, data: bytes) -> None:
-        """Send something."""
         if self.transport is not None and not self.is_lost:
             self.transport.write(data)
 
     async def close(self) -> None:
-        """Give the line back."""
         if self.transport is not None:
             self.transport.abort()
             # A longer closing ends by itself; the next program that opens it reports it as busy.

@@ -54,7 +54,6 @@ _MOST_ASKS = 64
 
 
 async def reach(asker: Callable[[str], Asker]) -> FleetChannel:
-    """See :meth:`m100link.apps.fleet.client.Fleet.reach`."""
     channel, own = FleetChannel(asker), asker("")
     if not await own.is_there() or not await channel.look_at_clock():
         channel.close()

@@ -20,7 +20,6 @@ _PARTS = re.compile(r"[0-9]+|[^0-9]+")
 
 
 def check_name(name: str, what: str = "an aircraft") -> str:
-    """The name, if it can be a word of a key."""
     if not NAME.fullmatch(name):
         raise UsageError(
             f"{name!r} is no name for {what}",
@@ -113,5 +112,4 @@ class Keys:
         return f"{LIVE}/{self.site}/{self.name}/{session}"
 
     def status(self, identity: str = "*") -> str:
-        """The key of questions about the outcome of an order."""
         return self.of(f"status/{identity}")

@@ -324,8 +324,6 @@ class ShowStage(Enum):
 
 @dataclass(frozen=True, slots=True)
 class ShowCard:
-    """Where an aircraft stands in a show."""
-
     stage: ShowStage
     digest: str  # of its track; empty without one
     farthest_m: float  # farthest from it until now, by its own telemetry
@@ -334,8 +332,6 @@ class ShowCard:
 
 @dataclass(frozen=True, slots=True)
 class OrderReply:
-    """An agent's reply to an order."""
-
     id: str  # of the order
     name: str
     boot: str  # which run of its agent this is
@@ -547,6 +543,5 @@ class LeaseRequest:
         self.order, self._half = order, half
 
     def lease(self, reply: OrderReply) -> Lease:
-        """Return the lease that a reply grants."""
         secret = self._half.secret(self.order, reply.key, reply.key)
         return Lease(reply.text, secret, reply.number)

@@ -371,7 +371,6 @@ def listed(folder: Path) -> list[tuple[str, datetime, str]]:
 
 
 def _revoked(folder: Path, authority: x509.Certificate) -> Revoked:
-    """The list that lies in the folder of the authority."""
     found = Revocations(authority, folder / LIST)
     found.read()
     return found.revoked

@@ -41,8 +41,6 @@ _PLAN = 20
 
 
 class StatePublisher:
-    """One aircraft's end."""
-
     def __init__(self, client: AgentClient, bus: Bus, keys: Keys, boot: str) -> None:
         self._client = client
         self._bus = bus

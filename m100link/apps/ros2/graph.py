@@ -118,8 +118,6 @@ def read_token(key: str) -> Seen | None:
 
 @dataclass(frozen=True, slots=True)
 class Attachment:
-    """The attachment of each sample and request."""
-
     sequence: int  # counts what its sender sent
     at_ns: int  # when it was sent, POSIX time in ns by the clock of the sender
     gid: bytes  # id of the sender; an answer has that of the request

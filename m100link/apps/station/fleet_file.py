@@ -149,7 +149,6 @@ async def running_part(
 
 
 def tell_log(name: str, event: Event) -> None:
-    """Log what happens to an aircraft."""
     _logger.log(logging.getLevelNamesMapping()[event.level.upper()], "%s: %s", name, event.text)
 
 
@@ -208,8 +207,6 @@ async def running_parts(
 
 @dataclass(frozen=True, slots=True)
 class FleetFault:
-    """One fault of a fleet."""
-
     fault: str  # its kind, in two or three words
     name: str  # whose it is: an aircraft, a router, an operator
     seen: str

@@ -457,7 +457,6 @@ class MissionSession:
             self._pushed_at, self._is_pushed = self._clock(), True
 
     def _apply(self, news: Sequence[MissionEvent | Over]) -> None:
-        """Apply the news of a push or an answer to the mission."""
         for item in news:
             if self.state is RunState.STARTING:
                 self._early.append(item)
@@ -494,7 +493,6 @@ class MissionSession:
     def _end(
         self, how: RunInput, failure: M100Error | None = None, *, is_answered: bool = False
     ) -> None:
-        """It does not fly any more."""
         if not self.feed(how):
             return
         self.ending.over(is_answered=is_answered)

@@ -190,7 +190,6 @@ class _CameraCommand(AnyByte, Push, level=1, encrypted=True, since=Generation.V2
 
     @classmethod
     def parse(cls, value: bytes, profile: FirmwareProfile) -> Self:
-        """Any value will do."""
         return cls(value[0] if value else 0)
 
     def fields(self) -> dict[str, Any]:

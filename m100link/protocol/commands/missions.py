@@ -50,7 +50,6 @@ class _Reported(Record):
 
     @property
     def kind(self) -> int:
-        """The first byte."""
         return self.KIND
 
 
@@ -280,7 +279,6 @@ class _KindPush(Notification, since=Generation.V3_1):
 
     @property
     def content(self) -> _Reported:
-        """Its only field."""
         content: _Reported = getattr(self, field_names(self)[0])
         return content
 
@@ -291,16 +289,13 @@ class _KindPush(Notification, since=Generation.V3_1):
 
     @property
     def name(self) -> str:
-        """With the kind in a word."""
         return f"{self.NAME}_{self.content.WORD}"
 
     def value(self, profile: FirmwareProfile) -> bytes:
-        """6 bytes."""
         return bytes((self.kind,)) + self.content.to_wire(self.name)
 
     @classmethod
     def parse(cls, value: bytes, profile: FirmwareProfile) -> Self:
-        """6 bytes."""
         tail = exactly(value, _PUSH_SIZE, cls.NAME)[1:]
         known = value[0] < len(cls.KINDS)
         content = cls.KINDS[value[0]].from_wire(tail) if known else OtherKind(value[0], tail)
@@ -311,11 +306,9 @@ class _KindPush(Notification, since=Generation.V3_1):
         return {"kind": self.content.WORD} | self.content.shown()
 
     def raw(self) -> dict[str, Any]:
-        """The kind and its fields."""
         return {"kind": self.kind} | self.content.raw()
 
     def problems(self) -> list[Problem]:
-        """A kind that does not exist."""
         return self.content.problems()
 
 
@@ -496,22 +489,18 @@ class _MissionAck(Acknowledged[A]):
 
     @classmethod
     def code_of(cls, answer: AckCode | Answer) -> AckCode:
-        """The code at its beginning."""
         return answer.code if isinstance(answer, Answer) else answer
 
     @classmethod
     def ack_raw(cls, answer: AckCode | Answer) -> dict[str, Any]:
-        """The code and the fields behind it."""
         return answer.raw() if isinstance(answer, Answer) else {"code": int(answer)}
 
     @classmethod
     def ack_problems(cls, answer: AckCode | Answer) -> list[Problem]:
-        """Those of the fields behind the code."""
         return answer.problems() if isinstance(answer, Answer) else []
 
     @classmethod
     def ack_fields(cls, answer: AckCode | Answer) -> dict[str, Any]:
-        """The code in words, and the fields behind it for people."""
         tail = answer.shown() if isinstance(answer, Answer) else {}
         return {"ack": plain(cls.code_of(answer))} | tail
 

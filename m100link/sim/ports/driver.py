@@ -401,7 +401,6 @@ def _bad(url: str, why: str) -> BadURL:
 
 
 def _options(url: str) -> dict[str, Any]:
-    """The options of a URL by their names, each of its type."""
     _, _, query = url.partition("?")
     found: dict[str, Any] = {}
     kinds = _kinds()

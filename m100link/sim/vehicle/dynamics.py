@@ -304,7 +304,6 @@ class Dynamics:
         self._steepest_pull = GRAVITY * tan(self.airframe.steepest_tilt_deg * (pi / 180.0))
 
     def _settle(self) -> None:
-        """At rest and level where it is."""
         self.velocity_north = self.velocity_east = self.velocity_up = 0.0
         self.acceleration_north = self.acceleration_east = self.acceleration_up = 0.0
         self.roll = self.pitch = 0.0

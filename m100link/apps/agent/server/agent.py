@@ -399,8 +399,6 @@ Answer = tuple[str, int] | Lease | TakeOver | None
 
 
 class OrderContext(NamedTuple):
-    """The circumstances of an order: its agent, its lease, its callback."""
-
     agent: Agent
     token: str  # proof of the lease; empty without one
     accepted: Callable[[], None]  # called when the aircraft has begun

@@ -153,7 +153,6 @@ class AuthorityManager:
 
     @property
     def has_authority(self) -> bool:
-        """Whether setpoints and tasks are obeyed now."""
         return (
             self.state is HoldingState.HELD
             and self.flying is not None
@@ -382,7 +381,6 @@ class OrphanedAuthority:
             self.owed = Owed.NOTHING  # it obeys nobody
 
     def block_ended(self, aircraft: Aircraft) -> None:
-        """A control block has ended."""
         authority = aircraft.authority
         self._whose, self._is_reported = "this agent", False
         if authority.reason is errors.LossReason.LINK:

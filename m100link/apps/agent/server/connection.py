@@ -93,7 +93,6 @@ class AircraftConnection:
                 self._lose(None)
 
     async def _follow(self, one: supervising.Supervised) -> None:
-        """Report the changes of the connection, until it ends for good."""
         async for event in one.events():
             self._take(event, one.aircraft)
             if event.after in supervising.ENDED:

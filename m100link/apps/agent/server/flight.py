@@ -66,7 +66,6 @@ class ActiveFlight:
 
     @property
     def has_authority(self) -> bool:
-        """Whether setpoints and tasks are obeyed now."""
         return not self._is_ended and self._control.has_authority
 
     @property
@@ -366,8 +365,6 @@ class _Flight:
 
 
 class GuidedFlightManager:
-    """The guided flight of one control block, if there is one."""
-
     def __init__(self, control: Control, journal: Journal, background: TaskSet) -> None:
         self._control = control
         self._journal = journal

@@ -39,8 +39,6 @@ MissionListener = Callable[[events.MissionEvent], None]
 
 
 class ActiveMission:
-    """The mission of one control block, if there is one."""
-
     def __init__(self, control: Control, journal: Journal, background: TaskSet) -> None:
         self._control = control
         self._journal = journal

@@ -128,5 +128,4 @@ def _number(text: str) -> float:
 
 
 def refused() -> OnlyRecorded:
-    """The refusal of control over a replay."""
     return OnlyRecorded.usual("there is no control to be had: this is a replay, nothing flies")

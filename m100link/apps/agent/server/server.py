@@ -57,7 +57,6 @@ class AgentServer:
         agent.background.spawn(self._keep_telling(), "state")
 
     def attach(self, channel: Channel) -> None:
-        """Serve the front at the other end of this channel."""
         front = ClientSession(
             self._agent,
             self._log,
@@ -244,7 +243,6 @@ class AgentLog:
         self._notes.append((self._agent.now, event, values))
 
     def left(self, front: ClientSession, reason: str) -> None:
-        """A front has gone."""
         self._notes.extend(front.take_notes())
         self.note("client", name=front.name, is_there=False, reason=reason)
 
@@ -407,7 +405,6 @@ class ClientSession:
             self._log.left(self, reason)
 
     def forget_leases(self, *, but: int) -> None:
-        """Leases that have ended are of no use."""
         self._leases = {number: one for number, one in self._leases.items() if number == but}
 
     def _receive(self, message: messages.Message) -> None:

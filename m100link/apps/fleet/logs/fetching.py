@@ -54,12 +54,10 @@ class LogFetcher:
         self._has_answered = False
 
     async def logs(self) -> list[LogEntry]:
-        """See :meth:`m100link.apps.fleet.FleetAircraft.logs`."""
         _, data = await self._ask(LogQuestion(What.LIST))
         return words.unpack_entries(data)
 
     async def audit(self, number: int) -> bytes:
-        """See :meth:`m100link.apps.fleet.FleetAircraft.audit`."""
         lines = b""
         while True:
             _, data = await self._ask(LogQuestion(What.AUDIT, "", number))
@@ -71,7 +69,6 @@ class LogFetcher:
     async def fetch(
         self, log: str = "", to: Path | str = "", progress: Progress | None = None
     ) -> Fetched:
-        """See :meth:`m100link.apps.fleet.FleetAircraft.fetch_log`."""
         entry = await self._entry(log)
         part = await asyncio.to_thread(words.LogPart, Path(to), f"{self._keys.name}-{entry.log}")
         try:

@@ -121,7 +121,6 @@ class MissionManager:
         self._digest, self._plan = "", None
 
     def paused(self, *, is_paused: bool) -> None:
-        """A pause or its end was carried out."""
         self._is_paused = is_paused and self.stage is MissionStage.FLYING
 
     def _on_report(self, report: MissionReport) -> None:

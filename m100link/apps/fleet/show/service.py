@@ -48,8 +48,6 @@ class Beside:
 
 
 class ShowService:
-    """One aircraft's end."""
-
     def __init__(
         self,
         client: AgentClient,  # what knows its agent

@@ -104,7 +104,6 @@ class CommandProtocol:
     # -- arming and modes ------------------------------------------------------------------------
 
     def arm(self, asked: Asked, now: float) -> MavResult | None:
-        """COMPONENT_ARM_DISARM."""
         if asked.parameters[0] == 1.0:
             return self._manager.arm(asked.peer, now)
         if asked.parameters[0] == 0.0:
@@ -125,7 +124,6 @@ class CommandProtocol:
         return self.request_mode(mode, asked.peer, now)
 
     def set_standard_mode(self, asked: Asked, now: float) -> MavResult:
-        """DO_SET_STANDARD_MODE."""
         number = asked.parameters[0]
         mode = mode_of_standard(int(number)) if _is_byte(number) else None
         if mode is None:
@@ -235,7 +233,6 @@ class CommandProtocol:
         return self.request_mode(Mode.MISSION if is_on else Mode.HOLD, asked.peer, now)
 
     def start_mission(self, asked: Asked, now: float) -> MavResult:
-        """MISSION_START, from an item."""
         first = asked.parameters[0]
         number = int(first) if math.isfinite(first) and first > 0 else None
         return self._start(asked.peer, number, "mission", now)
@@ -370,7 +367,6 @@ class CommandProtocol:
     # -- messages and rates ----------------------------------------------------------------------
 
     def set_interval(self, asked: Asked, now: float) -> MavResult:
-        """SET_MESSAGE_INTERVAL."""
         number, interval = asked.parameters[:2]
         name = NUMBERS.get(int(number)) if math.isfinite(number) else None
         if name is None:
@@ -391,7 +387,6 @@ class CommandProtocol:
         return MavResult.UNSUPPORTED
 
     def request_message(self, asked: Asked, now: float) -> MavResult:
-        """REQUEST_MESSAGE."""
         number, parameter = asked.parameters[:2]
         if not math.isfinite(number):
             return MavResult.DENIED
@@ -405,13 +400,11 @@ class CommandProtocol:
         return MavResult.TEMPORARILY_REJECTED if is_known else MavResult.UNSUPPORTED
 
     def request_home(self, asked: Asked, now: float) -> MavResult:
-        """GET_HOME_POSITION."""
         wanted = LAYOUTS["HOME_POSITION"].number
         is_sent = self._request(wanted, 0.0, asked.peer, now, 0)
         return MavResult.ACCEPTED if is_sent else MavResult.TEMPORARILY_REJECTED
 
     def request_version(self, asked: Asked, now: float) -> MavResult:
-        """REQUEST_AUTOPILOT_CAPABILITIES."""
         self._request(LAYOUTS["AUTOPILOT_VERSION"].number, 0.0, asked.peer, now, 0)
         return MavResult.ACCEPTED
 
@@ -442,8 +435,6 @@ def _ask_for(name: str) -> Callable[[CommandProtocol, Asked, float], MavResult]:
 
 
 class CommandPart(Enum):
-    """Whose commands they are."""
-
     AUTOPILOT = "autopilot"
     CAMERA = "camera"  # of component 100, or of the autopilot for it
     GIMBAL = "gimbal"  # of the autopilot, as gimbal manager
@@ -452,8 +443,6 @@ class CommandPart(Enum):
 
 @dataclass(frozen=True, slots=True)
 class CommandRow:
-    """A command that has a meaning here."""
-
     handler: Callable[[CommandProtocol, Asked, float], MavResult | None]  # what carries it out
     meaning: str  # for the manual
     part: CommandPart = CommandPart.AUTOPILOT

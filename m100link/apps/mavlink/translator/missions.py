@@ -267,7 +267,6 @@ class MissionProtocol:
         self.due_at = min([self._sent_at + _CURRENT_S, *asked])
 
     def current_message(self, *, is_flying: bool) -> MavlinkMessage:
-        """MISSION_CURRENT."""
         if not self.items:
             state = _NONE
         elif is_flying:

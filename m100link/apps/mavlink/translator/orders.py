@@ -175,7 +175,6 @@ class Asked:
 
 
 def read_command(message: MavlinkMessage, peer: Peer) -> Asked:
-    """COMMAND_LONG or COMMAND_INT."""
     four = tuple(message[f"param{place}"] for place in range(1, 5))
     command, component = message["command"], message.fields.get("target_component", 0)
     if message.name == "COMMAND_LONG":

@@ -134,7 +134,6 @@ METADATA = _metadata()
 
 
 def component_metadata() -> MavlinkMessage:
-    """COMPONENT_METADATA."""
     crc = crc32(METADATA["general.json"])
     return MavlinkMessage("COMPONENT_METADATA", {"uri": "mftp:///general.json", "file_crc": crc})
 
@@ -152,7 +151,6 @@ class ParameterProtocol:
         return 0.0 if value is None else value
 
     def message(self, name: str) -> MavlinkMessage:
-        """PARAM_VALUE."""
         one, value = PARAMETERS[name], self._value(name)
         if one.is_whole:  # an integer travels as its bits
             (value,) = struct.unpack("<f", struct.pack("<i", int(value)))

@@ -76,8 +76,6 @@ class Aim:
 
 @dataclass(slots=True)
 class _Interval:
-    """Photos that are taken one after the other."""
-
     left: int | None  # still to take; None until they are stopped
     due_at: float | None = None  # s; None until the step after the first one was taken
 
@@ -172,7 +170,6 @@ class Payload:
         return result
 
     def stop_photos(self, asked: Asked, now: float) -> MavResult:
-        """IMAGE_STOP_CAPTURE."""
         _require_camera(asked.parameters[0])
         if self._manager.is_others(asked.peer, "camera"):
             return MavResult.TEMPORARILY_REJECTED

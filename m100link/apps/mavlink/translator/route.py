@@ -107,13 +107,11 @@ class Route:
         return height
 
     def take_off(self, number: int, item: MavlinkMessage) -> None:
-        """NAV_TAKEOFF."""
         if self.legs:
             raise Refused("a take-off in the air: use NAV_WAYPOINT")
         self.height = self._height(item)
 
     def waypoint(self, number: int, item: MavlinkMessage) -> None:
-        """NAV_WAYPOINT, with its time."""
         self._fly(number, item, _seconds(item["param1"]))
 
     def loiter(self, number: int, item: MavlinkMessage) -> None:
@@ -122,7 +120,6 @@ class Route:
         self._is_over = True
 
     def circle(self, number: int, item: MavlinkMessage) -> None:
-        """NAV_LOITER_TURNS."""
         turns, radius = float(item["param1"]), float(item["param3"])
         if not (0.0 < turns <= _MOST_TURNS and 1.0 <= abs(radius) < math.inf):
             raise Refused(f"{turns:g} turns of {abs(radius):g} m: up to {_MOST_TURNS:g}, from 1 m")

@@ -381,7 +381,6 @@ def _available(index: int, mode: Mode) -> MavlinkMessage:
 
 
 def current(mode: Mode) -> MavlinkMessage:
-    """CURRENT_MODE."""
     row = MODES[mode]
     fields = {
         "standard_mode": row.standard,

@@ -235,7 +235,6 @@ class Graph:
     def add_service(
         self, name: str, type_name: str, on_call: Callable[[ServiceCall], None]
     ) -> None:
-        """A service that the station offers."""
         name, ends = self.prefix + name, partial(_ends, name)
         self.services[name] = RosService(name, SERVICES[type_name], on_call, ends)
 

@@ -87,7 +87,6 @@ class MessageType:
         return name + half.capitalize()
 
     def default(self) -> Message:
-        """A message with every field at its default."""
         return {field.name: _default(field) for field in self.fields}
 
     def read(self, value: Any, where: str = "") -> Message:

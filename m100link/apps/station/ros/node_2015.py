@@ -62,8 +62,6 @@ _NEEDS_MORE = (NotActivated, LevelTooLow, CommandNotSupported, KeyRejected)
 
 
 class Node2015:
-    """The topics of 2015."""
-
     def __init__(self, agent: AgentClient, graph: Graph, clients: Clients) -> None:
         self._agent, self._graph, self._clients = agent, graph, clients
         number = "std_msgs/Float32"

@@ -47,8 +47,6 @@ _STRAIN_RATE, _STRAIN = 0.25, 5.0
 
 
 class Waiting(Protocol):
-    """A connection that waits for its turn."""
-
     @property
     def steers(self) -> bool:
         """Whether it holds control of an aircraft."""

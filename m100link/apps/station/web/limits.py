@@ -91,9 +91,7 @@ class Guest(Protocol):
     has_spoken: bool  # whether it ever said anything
 
     @property
-    def subscribes(self) -> bool:
-        """Whether it gets anything."""
-        ...
+    def subscribes(self) -> bool: ...
 
 
 G = TypeVar("G", bound=Guest)

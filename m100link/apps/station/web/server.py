@@ -96,7 +96,6 @@ class RosbridgeServer:
 
     @property
     def agent(self) -> AgentClient:
-        """The agent of the first aircraft, or the only one."""
         return next(iter(self.agents.values()))
 
     def app(self, settings: Settings) -> AccessControl:

@@ -192,7 +192,6 @@ class MapTiles:
         self._is_stuck = False
 
     async def look(self) -> None:
-        """Look at the file anew."""
         self.pictures = await self._ask(
             self._described, Pictures(fault=TileFault.DISK), Pictures(fault=TileFault.FILE)
         )

@@ -88,7 +88,6 @@ class ConflictMonitor:
         return sum(map(math.dist, self.places, self.places[1:]))
 
     def to_bytes(self) -> bytes:
-        """As it goes over the network."""
         places = [[round(one, 2) for one in place] for place in self.places]
         fields = [self.show, self.name, round(self.at, 3), round(self.down_from, 3), places]
         if self.origin is not None:

@@ -77,8 +77,6 @@ class Moment:
 
 @dataclass(frozen=True, slots=True)
 class TrackSegment:
-    """A track between two of its points."""
-
     begin: float  # seconds from the beginning of the show
     end: float
     curve: Cubic  # where it goes

@@ -376,7 +376,6 @@ class PageContext:
 
     @property
     def history(self) -> PlotHistory:
-        """The history of its aircraft."""
         return self.history_of(self.tab.aircraft)
 
     def seek(self, utc: float) -> None:

@@ -285,7 +285,6 @@ class AlarmsPart:
 
 
 def _whole(alarm: ActiveAlarm) -> Text:
-    """The text of an alarm, and whether the alarm is over."""
     if alarm.state is AlarmState.PASSED:
         return tr("alarms.passed", alarm=alarm.text)
     return alarm.text

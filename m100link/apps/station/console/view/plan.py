@@ -80,7 +80,6 @@ class Draft:
         return replace(self, points=tuple(points))
 
     def cornered(self, place: Place) -> Draft:
-        """With a corner more of the area."""
         return replace(self, area=(*self.area, place))
 
     def corner_moved(self, index: int, place: Place) -> Draft:
@@ -155,8 +154,6 @@ _OF_A_PLAN = [one.name for one in fields(Draft) if one.name not in ("points", "a
 
 @dataclass(frozen=True, slots=True)
 class DraftHistory:
-    """A draft, what it was before, and what was undone."""
-
     draft: Draft = field(default_factory=Draft)  # as it is now
     before: tuple[Draft, ...] = ()  # earlier ones, the newest last
     undone: tuple[Draft, ...] = ()  # what can be done again, the newest last

@@ -168,8 +168,6 @@ def _distance(place: tuple[float, float] | None, limits: GuardLimits) -> float |
 
 @dataclass(frozen=True, slots=True)
 class Ship:
-    """The state of one aircraft of the station."""
-
     name: str  # what it is called
     vehicle: VehicleView  # what may be believed of it
     is_shown: bool  # whether the page shows it and steers it
