@@ -201,7 +201,7 @@ async def test_what_needs_no_lease_has_its_outcome_over_long_ways(rig: Rig, way:
     assert await told(rig, FleetAircraft.stop) is Outcome.OK
 
 
-@pytest.mark.parametrize("way", [1.0, 2.0])
+@pytest.mark.parametrize("way", [1.0, 2.0, 3.0])
 async def test_a_landing_is_flown_and_reported_over_long_ways(rig: Rig, way: float) -> None:
     one = await in_the_air(rig)
     rig.network.weather = Weather(delay_s=way)
@@ -250,11 +250,17 @@ async def test_each_doubtful_agent_is_asked_to_land_as_of_the_time_of_the_first_
     assert [since for _, since in made] == pytest.approx([98.0, 198.0])
 
 
-async def test_a_landing_over_a_way_of_three_seconds_is_refused_for_its_age(rig: Rig) -> None:
-    """Nobody can say that it is younger than 5 s."""
+async def test_a_landing_that_takes_ever_longer_is_refused_for_its_age(rig: Rig) -> None:
+    """Its program answers for the round trip that it has seen, and for no longer one."""
     one = await in_the_air(rig)
-    rig.network.weather = Weather(delay_s=3.0)
-    assert await told(rig, FleetAircraft.land) is Outcome.REFUSED
+    rig.network.weather = Weather(delay_s=2.0)
+    landing = asyncio.ensure_future(told(rig, FleetAircraft.land, patience=30.0))
+    for delay in (4.5, 9.0, 18.0):
+        await anyio.sleep(3.0)
+        rig.network.weather = Weather(delay_s=delay)
+        await anyio.sleep(2.0 * delay)
+    assert await landing is not Outcome.OK
+    await anyio.sleep(10.0)
     assert one.height > 1.0
 
 
