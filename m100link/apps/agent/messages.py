@@ -17,6 +17,7 @@ From a front        Ask (around an order of ``m100link.apps.agent.orders``), Ste
 from __future__ import annotations
 
 import logging
+import re
 from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -385,6 +386,15 @@ _ERRORS: dict[str, type[M100Error]] = {
 
 _FAULT_TEXTS = ("seen", "cause", "remedy")
 
+_GUARDS = (
+    (
+        re.compile(r"control\(guards=Guards\(envelope=Envelope\(max_(height|radius)_m=…\)\)\)"),
+        r"a larger --max-\1 of its agent (max_\1 in a fleet file)",
+    ),
+    (re.compile(r",? or (switch the guard off: |control\(guards=)?Guards\(.*"), ""),
+)
+"""What a remedy says of an argument of a program, and what a client of an agent can do instead."""
+
 
 @dataclass(frozen=True, slots=True)
 class RemoteError:
@@ -406,7 +416,10 @@ class RemoteError:
             for name, value in vars(error).items()
             if name not in _FAULT_TEXTS and isinstance(value, str | int | float | None)
         }
-        return cls(known.__name__, error.seen, error.cause, error.remedy, details)
+        remedy = error.remedy
+        for written, at_agent in _GUARDS:
+            remedy = written.sub(at_agent, remedy)
+        return cls(known.__name__, error.seen, error.cause, remedy, details)
 
     def error(self) -> M100Error:
         """The error again: an object of its class, or of the base when the class is unknown."""

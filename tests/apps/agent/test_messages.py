@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import pytest
 
 from m100link import errors
@@ -16,6 +18,8 @@ from m100link.apps.agent.messages import (
     RemoteError,
 )
 from m100link.errors import AuthorityLost, AuthorityRefused, GuardRefused, LossReason, M100Error
+from m100link.flight.guards import Envelope, GuardKeeper, Guards
+from m100link.telemetry.state import AircraftState
 
 ERRORS: list[M100Error] = [
     M100Error("seen"),
@@ -42,6 +46,33 @@ def test_an_error_is_the_same_error_at_the_other_end(error: M100Error) -> None:
     for name, value in vars(error).items():
         if value == value:  # not a NaN, which becomes its name
             assert getattr(found, name) == value
+
+
+@pytest.mark.parametrize(
+    ("refuse", "remedy"),
+    [
+        (
+            lambda: Envelope().check("a climb", height=60.0),
+            "a target inside, or a larger --max-height of its agent (max_height in a fleet file)",
+        ),
+        (
+            lambda: Envelope().check("fly_to", far=200.0),
+            "a target inside, or a larger --max-radius of its agent (max_radius in a fleet file)",
+        ),
+        (lambda: Envelope().check("fly_to", speed=11.0), "fly slower"),
+        (
+            lambda: GuardKeeper(Guards(), AircraftState(lambda: 9.0)).check_mission("a flight"),
+            "set the item to 1 Hz or more in the PC assistant",
+        ),
+    ],
+)
+def test_a_client_of_an_agent_hears_no_remedy_of_a_program(
+    refuse: Callable[[], object], remedy: str
+) -> None:
+    with pytest.raises(GuardRefused) as caught:
+        refuse()
+    assert "Guards(" in caught.value.remedy
+    assert carried(caught.value).remedy == remedy
 
 
 def test_every_error_of_the_tree_can_be_carried() -> None:
