@@ -34,7 +34,7 @@ from m100link.apps.agent.messages import (
 from m100link.apps.agent.orders import Age, Right
 from m100link.apps.bus.network import Bus, Held, Question
 from m100link.apps.fleet import payloads
-from m100link.apps.fleet.expiry import Dropped, OrderExpiry, SetpointStream, broken
+from m100link.apps.fleet.expiry import ORDER_AGE, Dropped, OrderExpiry, SetpointStream, broken
 from m100link.apps.fleet.identity import Since, nobody
 from m100link.apps.fleet.keys import Keys
 from m100link.apps.fleet.lost_link import LastFlight, LostLinkAction, LostLinkPlan
@@ -42,7 +42,7 @@ from m100link.apps.fleet.missions.manager import MissionManager
 from m100link.apps.fleet.order_log import AuditLog, OrderCache, OrderLog
 from m100link.apps.fleet.orders import OrderService
 from m100link.apps.fleet.publisher import WALL_WITHIN_S, Thinner
-from m100link.errors import M100Error, NotAllowed, OutcomeUnknown, UsageError
+from m100link.errors import GuardRefused, M100Error, NotAllowed, OutcomeUnknown, UsageError
 from m100link.protocol.records import Battery, Position
 from m100link.telemetry.sample import Sample
 
@@ -405,6 +405,8 @@ class FleetAgent:
         """Write an order and its outcome into the audit log."""
         if self.audit is None or order is None or isinstance(order.order, _UNNOTED):
             return
+        if isinstance(error, GuardRefused) and error.guard == ORDER_AGE and not order.clock:
+            return  # its program does not know the time here yet, and asks again by this answer
         who = {"by": order.by[:_MOST_NAME], "signer": order.signer[:_MOST_NAME]}
         what = getattr(order.order, "label", type(order.order).__name__)
         outcome = payloads.Outcome.OK if error is None else payloads.outcome_of(error)

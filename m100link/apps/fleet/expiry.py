@@ -87,12 +87,16 @@ def require_young(made_at: float, now: float) -> None:
 
 
 def _late(why: str, made_at: float, now: float) -> GuardRefused:
+    when, cause = f"of {now - made_at:.1f} s ago", "the link is slow, or the agent stood still"
+    if made_at == 0.0:
+        when, why = "of unknown age", "it does not say when it was made"
+        cause = "its program does not know the agent's clock yet"
     return GuardRefused(
-        f"an order of {now - made_at:.1f} s ago was not carried out: {why}",
+        f"an order {when} was not carried out: {why}",
         guard=ORDER_AGE,
         measured=now - made_at,
         limit=MOST_AGE_S,
-        cause="the link is slow, or the agent stood still",
+        cause=cause,
         remedy="look at the aircraft, and give the order again",
     )
 

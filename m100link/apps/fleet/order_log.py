@@ -341,7 +341,8 @@ class AuditLog:
         line = text + b"\t" + base64.b64encode(self._sign(text)) + b"\n"
         self._lines.append(line)
         if len(self._lines) > MOST_KEPT:
-            self._lines, self._is_new = self._lines[-half - self._newest % half :], True
+            kept = self._newest - audit_kept(self._newest) + 1
+            self._lines, self._is_new = self._lines[-kept:], True
         self._waiting += line
         if self._path is not None and (self._writing is None or self._writing.done()):
             self._writing = self._background.spawn(self._write(self._path), "audit log")
@@ -389,6 +390,12 @@ def audit_facts(line: bytes) -> dict[str, Any]:
     is_line = all(isinstance(one, str) for one in texts) and _is_fence(facts.get("number"))
     has_time = type(facts.get("at")) is float and 0 <= facts["at"] < 1 << 33
     return {"signer": "", "by": "", "outcome": ""} | facts if is_line and has_time else {}
+
+
+def audit_kept(newest: int) -> int:
+    """The number of the first line that is kept beside the newest one."""
+    half = MOST_KEPT // 2
+    return max(0, (newest - 1) // half - 1) * half + 1
 
 
 def audit_digest(line: bytes) -> str:

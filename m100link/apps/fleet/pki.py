@@ -6,6 +6,7 @@ the files; existing files are never overwritten without ``force``. The caller gi
 
 from __future__ import annotations
 
+import errno
 import ipaddress
 import os
 import re
@@ -55,7 +56,6 @@ _CA = "ca"
 
 
 _COPY = "copy both files anew from your backup"
-_ELSEWHERE = "name a folder that your account may write"
 
 
 class BadAuthority(
@@ -65,6 +65,12 @@ class BadAuthority(
     remedy="`m100link fleet make FILE` makes an authority and its certificates",
 ):
     """Certificates that cannot be made, or must not be overwritten."""
+
+
+def _not_made(path: Path, error: OSError) -> BadAuthority:
+    is_full = error.errno in (errno.ENOSPC, errno.EDQUOT)
+    remedy = "make room on that disk" if is_full else "name a folder that your account may write"
+    return BadAuthority(f"{path} cannot be made: {error.strerror}", remedy=remedy)
 
 
 class Kind(Enum):
@@ -109,9 +115,7 @@ def init(folder: Path, *, now: datetime, force: bool = False) -> Issued:
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     except OSError as error:
-        raise BadAuthority(
-            f"{folder} cannot be made: {error.strerror}", remedy=_ELSEWHERE
-        ) from error
+        raise _not_made(folder, error) from error
     made = Issued(folder / AUTHORITY, folder / f"{_CA}.key", ends)
     files = {made.key: _pem_of(key), made.certificate: _pem(certificate)}
     if force and (folder / LIST).exists():  # keys that sign outlive certificates
@@ -267,9 +271,7 @@ def _alone(folder: Path) -> Iterator[None]:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         handle = os.open(folder, os.O_RDONLY)
     except OSError as error:
-        raise BadAuthority(
-            f"{folder} cannot be made: {error.strerror}", remedy=_ELSEWHERE
-        ) from error
+        raise _not_made(folder, error) from error
     try:
         if not locks(handle):
             raise BadAuthority(
@@ -320,9 +322,7 @@ def _hand_out(rights: Rights, name: str, kind: Kind) -> None:
         for made in (place.parent, place, place / pki.name):
             made.mkdir(mode=0o700, exist_ok=True)
     except OSError as error:
-        raise BadAuthority(
-            f"{place} cannot be made: {error.strerror}", remedy=_ELSEWHERE
-        ) from error
+        raise _not_made(place, error) from error
     _write(files, force=True)
 
 
@@ -474,9 +474,7 @@ def _write(files: dict[Path, bytes], *, force: bool) -> None:
             # Nobody else can read it at any moment, and no reader sees a part of it.
             replace_file(path, data)
         except OSError as error:
-            raise BadAuthority(
-                f"{path} cannot be written: {error.strerror}", remedy=_ELSEWHERE
-            ) from error
+            raise _not_made(path, error) from error
 
 
 # -- rules for a router of zenoh, made of the fleet file; what somebody may do, in words -------

@@ -34,7 +34,7 @@ from m100link.apps.bus.network import DEPTH, Bus, Held, Outlet, QueryAnswer, Que
 from m100link.apps.fleet.asking import Sign
 from m100link.apps.fleet.identity import Gate, Rights, Signer, Since, nobody
 from m100link.apps.fleet.keys import name_in
-from m100link.apps.fleet.order_log import audit_digest, audit_facts
+from m100link.apps.fleet.order_log import audit_digest, audit_facts, audit_kept
 from m100link.apps.fleet.payloads import VERSION, OrderMessage
 from m100link.apps.fleet.revocations import Revocations, read_certificate
 from m100link.errors import UsageError
@@ -78,7 +78,15 @@ def read_signer(folder: Path, name: str) -> Signer:
     Raises:
         UsageError: There is none, it is not a key, or others can read it.
     """
-    return Signer(name, read_key(folder / f"{name}.signing.key").reveal())
+    path = folder / f"{name}.signing.key"
+    if not path.exists():
+        there = ", ".join(
+            one.name.partition(".")[0] for one in sorted(folder.glob("*.signing.key"))
+        )
+        made = "m100link fleet make FILE makes it: name that folder by --pki"
+        remedy = f"name one of {there}" if there else made
+        raise UsageError(f"{folder} has no signing key of {name}", remedy=remedy)
+    return Signer(name, read_key(path).reveal())
 
 
 def tls_options(folder: Path, name: str, *, listens: bool = False) -> dict[str, str]:
@@ -199,7 +207,7 @@ def audited(
     """The lines of an audit log that its aircraft has signed, and what is wrong with the others."""
     found: list[dict[str, Any]] = []
     wrong: list[str] = []
-    key, before, expected = None, "", 0
+    key, before, expected, first = None, "", 0, 0
     for line in data.splitlines(keepends=True):
         facts, (text, _, signature) = audit_facts(line), line.rstrip(b"\n").rpartition(b"\t")
         number = facts.get("number", expected)
@@ -212,12 +220,17 @@ def audited(
         except (InvalidSignature, ValueError):
             wrong.append(f"line {number} was altered: {name} has not signed it")
         else:
-            if expected and number != expected:
+            if number > expected > 0:
                 wrong.append(f"lines {expected} to {number - 1} are missing")
+            elif number < expected:
+                wrong.append(f"line {number} stands behind line {expected - 1}, not in its place")
             elif expected and facts.get("before") != before and not wrong:
                 wrong.append(f"line {number - 1} stands in the place of another one")
             found.append(facts)
+        first = first if expected else number
         before, expected = audit_digest(line), number + 1
+    if found and first > (kept := audit_kept(found[-1]["number"])):
+        wrong.insert(0, f"lines {kept} to {first - 1} are missing: the beginning was cut off")
     return found, wrong
 
 
@@ -282,8 +295,8 @@ class _Sealing(Outlet):
     def put(self, payload: bytes, attachment: bytes | None = None) -> None:
         self._outlet.put(self._seal(payload), attachment)
 
-    def put_later(self, make: Callable[[], bytes]) -> None:
-        self._outlet.put_later(lambda: self._seal(make()))
+    def put_later(self, make: Callable[..., bytes], *what: Any) -> None:
+        self._outlet.put_later(lambda: self._seal(make(*what)))
 
     def is_wanted(self) -> bool:
         return self._outlet.is_wanted()

@@ -44,7 +44,7 @@ from m100link.apps.fleet.payloads import (
     unpack_message,
 )
 from m100link.apps.fleet.show.service import ShowService
-from m100link.errors import NotAllowed, UsageError
+from m100link.errors import GuardRefused, NotAllowed, UsageError
 from m100link.geodesy import LocalFrame
 from m100link.missions.plan import Waypoint, WaypointPlan
 from m100link.protocol.setpoint import Setpoint
@@ -719,3 +719,23 @@ async def test_each_order_and_its_outcome_is_in_the_audit_log(rig: Rig) -> None:
     refused = [(line["by"], line["order"], line["outcome"], line["why"]) for line in lines]
     assert refused == [("eve", "stop", "not_allowed", "eve may not stop a1")] * len(refused)
     assert 1 <= len(refused) < 5
+
+
+async def test_an_order_of_a_program_that_does_not_know_the_time_yet_is_logged_once(
+    rig: Rig,
+) -> None:
+    lines: list[dict[str, Any]] = []
+    log: Any = SimpleNamespace(add=lines.append)
+    await rig.aircraft("a1", audit=log, verify=lambda *_: None)
+    ada, late = await rig.pilot("ada"), await rig.pilot("late")
+    await ada["a1"].take_off()
+    await anyio.sleep(20.0)
+    lines.clear()
+    await (await rig.pilot("new"))["a1"].land()
+    assert [(line["by"], line["order"], line["outcome"]) for line in lines] == [
+        ("new", "land", "ok")
+    ]
+    lines.clear()
+    with pytest.raises(GuardRefused, match="it is older than 5 s"):
+        await late["a1"].asker.ask(orders.Land(), clock=1.0)
+    assert [(line["by"], line["outcome"]) for line in lines] == [("late", "refused")]

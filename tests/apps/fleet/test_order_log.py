@@ -645,6 +645,11 @@ def test_a_log_that_nobody_touched_is_whole(own: tuple[Seal, x509.Certificate]) 
             ["line 3 was altered: a1 has not signed it"],
         ),
         (lambda lines: lines[1:], ["line 2 was altered: a1 has not signed it"]),
+        (lambda lines: [*lines, *lines[3:]], ["line 4 stands behind line 6, not in its place"]),
+        (
+            lambda lines: [*lines[:2], lines[3], lines[2], *lines[4:]],
+            ["lines 3 to 3 are missing", "line 3 stands behind line 4, not in its place"],
+        ),
     ],
 )
 def test_a_line_that_was_altered_or_removed_is_named(
@@ -679,6 +684,12 @@ async def test_what_is_left_of_a_long_audit_log_can_be_verified(
         log.add({"order": "stop", "signer": "anna", "by": "", "outcome": f"n{number}"})
     found, wrong = audited(log.since(1, 1 << 20), "a1", own[1])
     assert wrong == []
+    lines = log.since(1, 1 << 20).splitlines(keepends=True)
+    if (cut := next((at for at, one in enumerate(lines) if at and b"certificate" in one), 0)) > 0:
+        _, wrong = audited(b"".join(lines[cut:]), "a1", own[1])
+        first = found[0]["number"]
+        said = f"lines {first} to {first + cut - 1} are missing: the beginning was cut off"
+        assert wrong == [said]
     assert 10 <= len(found) <= 20
     assert [one["number"] for one in found] == list(range(count - len(found) + 1, count + 1))
 

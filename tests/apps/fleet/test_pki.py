@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import json
 import os
@@ -680,6 +681,25 @@ def test_a_make_that_was_killed_is_ended_by_the_next_one(rights: Rights) -> None
     with pytest.raises(BadAuthority, match="there is no authority"):
         make(rights, now=NOW)
     assert (rights.pki / "ca.pem").read_bytes() == authority
+
+
+@pytest.mark.parametrize(
+    ("number", "remedy"),
+    [
+        (errno.ENOSPC, "make room on that disk"),
+        (errno.EACCES, "name a folder that your account may write"),
+    ],
+)
+def test_what_a_disk_does_not_take_has_a_remedy(
+    rights: Rights, monkeypatch: pytest.MonkeyPatch, number: int, remedy: str
+) -> None:
+    def write(*_: object) -> None:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr("m100link.apps.fleet.pki.replace_file", write)
+    with pytest.raises(BadAuthority, match="cannot be made") as caught:
+        make(rights, now=NOW)
+    assert caught.value.remedy == remedy
 
 
 def test_two_that_make_at_once_make_no_two_authorities(rights: Rights) -> None:

@@ -222,6 +222,12 @@ def test_keys_and_certificates_are_those_of_the_folder(tmp_path: Path) -> None:
     (tmp_path / "anna.signing.key").chmod(0o644)
     with pytest.raises(UsageError, match="can be read by others"):
         read_signer(tmp_path, "anna")
+    with pytest.raises(UsageError, match="has no signing key of anne") as caught:
+        read_signer(tmp_path, "anne")
+    assert caught.value.remedy == "name one of anna"
+    with pytest.raises(UsageError, match="has no signing key of anne") as caught:
+        read_signer(tmp_path / "other", "anne")
+    assert caught.value.remedy == "m100link fleet make FILE makes it: name that folder by --pki"
     pilot = json.loads(tls_options(tmp_path, "anna")["transport/link/tls"])
     assert pilot["connect_private_key"] == str(tmp_path / "anna.key")
     assert "listen_certificate" not in pilot
