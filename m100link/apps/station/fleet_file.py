@@ -221,15 +221,33 @@ _REASONS: dict[str, str] = {
 }
 _PATIENCE_S = 3.0
 _PROBE_S = 1.0
+_START_S, _AGAIN_S = 10.0, 0.5
+_CUT, _UNLINKED, _KEY = "cut leg", "two routers not linked", "wrong key"
+_OF_START = (_CUT, _UNLINKED, _KEY)  # of a fleet whose parts are not all there yet
 
 
 async def examine(rights: Rights, tell: Callable[[str], None] = lambda _: None) -> list[FleetFault]:
     """The faults of a fleet that runs; ``tell`` takes what is well.
 
-    Each operator whose signing key lies beside the file proves the own rights.
+    Each operator whose signing key lies beside the file proves the own rights. What is not there
+    is looked for again for a while: `fleet up` may still be starting it.
 
     Raises ``UsageError``: there is no authority beside the file.
     """
+    clock, told = asyncio.get_running_loop().time, set[str]()
+    until = clock() + _START_S
+    while True:
+        well: list[str] = []
+        found = await _examined(rights, well.append)
+        for text in (one for one in well if one not in told):
+            tell(text)
+        told.update(well)
+        if clock() >= until or not any(one.fault in _OF_START for one in found):
+            return found
+        await asyncio.sleep(_AGAIN_S)
+
+
+async def _examined(rights: Rights, tell: Callable[[str], None]) -> list[FleetFault]:
     found = _of_files(rights)
     ready = [name for name in rights.identities if (rights.pki / f"{name}.signing.key").exists()]
     bad = {one.name for one in found}
@@ -243,7 +261,7 @@ async def examine(rights: Rights, tell: Callable[[str], None] = lambda _: None) 
                 ) as fleet:
                     here = await _at_router(rights, router.name, who, fleet, seen)
             except UsageError as error:
-                found.append(_no_router(router, error))
+                found.append(_no_router(rights.path, router, error))
                 break
             found += here
             if not here:
@@ -255,7 +273,7 @@ async def examine(rights: Rights, tell: Callable[[str], None] = lambda _: None) 
             others = " and ".join(one for one in seen if one != name)
             found.append(
                 FleetFault(
-                    "two routers not linked",
+                    _UNLINKED,
                     name,
                     f"{name} does not show {', '.join(in_order(away))}, which {others} shows",
                     "start both from the same fleet file, and let each reach the other's port",
@@ -264,7 +282,7 @@ async def examine(rights: Rights, tell: Callable[[str], None] = lambda _: None) 
     absent = [name for name in rights.aircraft if seen and name not in everywhere]
     found += [
         FleetFault(
-            "cut leg",
+            _CUT,
             name,
             f"no agent named {name} is there, by any router",
             f"on its board: m100link fleet up {rights.path.name} {name} --real; then look at the "
@@ -294,19 +312,17 @@ def _of_files(rights: Rights) -> list[FleetFault]:
             continue  # it is on another machine
         if signer.public_key != one.public_key:
             seen = f"the signing key of {name} does not fit the public key of the fleet file"
-            found.append(FleetFault("wrong key", name, seen, remedy.format(name)))
+            found.append(FleetFault(_KEY, name, seen, remedy.format(name)))
     return found
 
 
-def _no_router(router: Router, error: UsageError) -> FleetFault:
+def _no_router(path: Path, router: Router, error: UsageError) -> FleetFault:
     try:
         with socket.create_connection((router.hosts[0], router.port), timeout=_PROBE_S):
             pass
     except OSError:
-        start = (
-            f"m100link fleet up FILE {router.name}; then look at the network to {router.hosts[0]}"
-        )
-        return FleetFault("cut leg", router.name, error.seen, start)
+        start = f"m100link fleet up {path} {router.name}; then look at the network to "
+        return FleetFault(_CUT, router.name, error.seen, start + router.hosts[0])
     return FleetFault(
         "port busy",
         router.name,
@@ -341,7 +357,7 @@ def _of_card(name: str, card: Card | None) -> Iterator[FleetFault]:
     version, same = m100link.__version__, "install the same release on board and here"
     if card is None:
         seen = f"{name} gives no answer that its certificate has signed"
-        yield FleetFault("wrong key", name, seen, f"copy boards/{name} there anew; {same}")
+        yield FleetFault(_KEY, name, seen, f"copy boards/{name} there anew; {same}")
         return
     if not card.boot or card.version != version:
         seen = f"{name} has release {card.version or 'unknown'}, and this is {version}"

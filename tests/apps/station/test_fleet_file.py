@@ -200,7 +200,7 @@ TABLE: list[tuple[Callable[[Planted], object], str, str, str, str]] = [
     (right, "missing right", "anna", "a2: anna may not fly a2", "[identity.anna] fly"),
     (revoked, "revoked name", "bert", "bert is revoked since", "another name"),
     (leg, "cut leg", "a2", "no agent named a2 is there", "m100link fleet up fleet.toml a2"),
-    (router, "cut leg", "mast", "no router answered", "m100link fleet up FILE mast"),
+    (router, "cut leg", "mast", "no router answered", "fleet.toml mast; then look at the"),
     (unlinked, "two routers not linked", "base", "base does not show a2", "same fleet file"),
     (full, "full disk", "a2", "a2: full disk: 0 MB are left for", "remove old flight logs"),
     (scarce, "no log space", "a2", "a2: no log space: 20 MB are left for", "another disk"),
@@ -229,7 +229,24 @@ def findings(
             await asyncio.sleep(1.5)  # each tells of itself once a second
             return await examine(one.rights)
 
+    patch.setattr("m100link.apps.station.fleet_file._START_S", 0.0)
+
     return asyncio.run(run())
+
+
+def test_a_fleet_that_is_still_being_started_has_no_fault(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one, told = Planted(tmp_path, monkeypatch), list[str]()
+
+    async def run() -> list[FleetFault]:
+        examining = asyncio.create_task(examine(one.rights, told.append))
+        await asyncio.sleep(0.5)
+        async with one.running():
+            return await examining
+
+    assert asyncio.run(run()) == []
+    assert len(told) == len(set(told)) == 6, "each of three operators by each of two routers"
 
 
 def test_a_healthy_fleet_has_no_fault(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
