@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import sys
 from collections.abc import Awaitable, Callable
 from dataclasses import asdict, dataclass
 from functools import partial
+from pathlib import Path
 from typing import Annotated, Any
 
 from cyclopts import Parameter
@@ -29,13 +31,20 @@ from m100link.apps.cli.fleet import (
 )
 from m100link.apps.cli.mission import event_name, event_words
 from m100link.apps.cli.options import Above0, AsJson, Force, Yes, group
-from m100link.apps.cli.plan import File, FileOptions, PlanFile, TakeOff, read_plan
+from m100link.apps.cli.plan import File, FileOptions, PlanFile, TakeOff, degrees, read_plan
 from m100link.apps.cli.terminal import ExitCode, ReaderGone, print_json, wants_json
 from m100link.apps.fleet.client import FleetAircraft
 from m100link.apps.fleet.missions.flight import FleetMission, MissionOrders
 from m100link.apps.fleet.payloads import MissionCard, MissionStage, OrderReply, ShowStage
 from m100link.apps.fleet.show.conductor import Conductor
-from m100link.apps.fleet.show.plan.document import Report, Show, distances, places, svg
+from m100link.apps.fleet.show.plan.document import (
+    Report,
+    Show,
+    distances,
+    imported,
+    places,
+    svg,
+)
 from m100link.apps.fleet.show.plan.document import check as report_on
 from m100link.apps.fleet.show.plan.track import BadShow
 from m100link.apps.fleet.show.track_executor import Leave
@@ -367,6 +376,30 @@ def _facts(show: Show, report: Report) -> dict[str, Any]:
 def _problem(error: BadShow) -> dict[str, Any]:
     names = ("aircraft", "at", "measured", "limit", "seen", "remedy")
     return {name: getattr(error, name) for name in names}
+
+
+@shows.command(name="import")
+def import_tracks(
+    show: File,
+    /,
+    *tracks: Annotated[Path, Parameter(help="A file for each aircraft, called like it.")],
+    origin: str,
+    orientation: float = 0.0,
+    force: Force = False,
+) -> int:
+    """Make a show of tracks of other programs: .skyb of Skybrush, or CSV.
+
+    An aircraft takes off and lands by itself: its track begins and ends at rest, 1 m or more above
+    the ground. Lights are left out. `check` says whether the show may be flown.
+
+    Args:
+        show: The file to write; - is standard output.
+        origin: LATITUDE,LONGITUDE of the zero of all tracks, degrees.
+        orientation: Where their x axis points, degrees clockwise from north; y points to its left.
+    """
+    found = imported(tracks, degrees("--origin", origin), orientation_deg=orientation)
+    write_out(show, json.dumps(found) + "\n", force=force)
+    return ExitCode.OK
 
 
 @shows.command

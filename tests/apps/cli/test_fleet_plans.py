@@ -121,6 +121,26 @@ def test_the_envelope_of_the_agents_counts(cli: CommandLine) -> None:
     assert "the envelope ends at 20 m" in outcome.objects[0]["problems"][0]["seen"]
 
 
+def test_tracks_of_other_programs_become_a_show(cli: CommandLine, tmp_path: Path) -> None:
+    rows = [f"{at},{at / 2000},0,{min(5.0, at / 500)}" for at in range(0, 10_000, 250)]
+    for name, shift in (("a1", "0"), ("a2", "-9")):
+        text = "\n".join(("Time [msec],x [m],y [m],z [m]", *rows)).replace(",0,", f",{shift},")
+        (tmp_path / f"{name}.csv").write_text(text)
+    show = tmp_path / "show.json"
+    tracks = [str(tmp_path / f"{name}.csv") for name in ("a1", "a2")]
+    made = cli("fleet", "show", "import", str(show), *tracks, "--origin", "52.1,4.31")
+    assert made.status == ExitCode.OK, made.err
+    found = json.loads(show.read_text())
+    assert found["origin"] == {"latitude_deg": 52.1, "longitude_deg": 4.31}
+    assert [one["waypoints"][-1]["east"] for one in found["aircraft"]] == [0.0, 9.0]
+    again = cli("fleet", "show", "import", str(show), *tracks, "--origin", "52.1,4.31")
+    assert again.status == ExitCode.USAGE
+    assert cli("fleet", "show", "check", str(show), "--json").status in (0, 2)
+    bad = cli("fleet", "show", "import", "-", FILE, "--origin", "52.1,4.31")
+    assert bad.status == ExitCode.USAGE
+    assert "is no track" in bad.err
+
+
 def test_what_is_no_show_is_reported(cli: CommandLine, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(b"{}")))
     outcome = cli("fleet", "show", "check", "-")

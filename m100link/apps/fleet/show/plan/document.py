@@ -6,11 +6,15 @@ fields are refused by name.
 
 from __future__ import annotations
 
+import csv
+import io
 import math
+import struct
+import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import combinations, pairwise
+from itertools import chain, combinations, pairwise
 from pathlib import Path
 from typing import Any, Self
 
@@ -504,3 +508,140 @@ def _apart(show: Show, report: Report) -> Iterator[str]:
     yield svg_text((first - 4, top + 4), f"{highest:.0f}", "end")
     yield svg_text((first - 4, bottom), "0", "end")
     yield svg_text((last, bottom + 14), f"{show.duration:g} s", "end")
+
+
+# -- tracks of other programs, one file for each aircraft: CSV, or Skybrush's .skyb ----------------
+# Both count metres from a place that they do not name. Skybrush's x points ahead, by default to the
+# north, and y to the left of it.
+
+_SAMPLE_S, _LONGEST_S = 0.25, 2500.0  # as many as a track may have points
+_LEAST_M, _BEGIN_M_S2 = 1.0, 0.6  # as the check wants it: the spline makes 2.25 times that
+_MS, _METRES = "time [msec]", ("x [m]", "y [m]", "z [m]")
+_Sample = tuple[float, float, float, float]  # s; metres ahead, to the left and up
+
+
+def imported(
+    files: Sequence[Path], origin: tuple[float, float], *, orientation_deg: float = 0.0
+) -> dict[str, Any]:
+    """The show of these tracks, as its file has it; each aircraft is called like its file.
+
+    An aircraft takes off and lands by itself: a track begins and ends at rest, 1 m or more above
+    its first place. All begin later by as much as one needs for that.
+
+    Args:
+        files: A file for each aircraft, CSV or .skyb.
+        origin: Latitude and longitude of their zero, degrees.
+        orientation_deg: Where their x points, degrees clockwise from north.
+
+    Raises:
+        BadShow: A file cannot be read, or is no track.
+    """
+    ahead, right = math.cos(math.radians(orientation_deg)), math.sin(math.radians(orientation_deg))
+    aircraft = []
+    for path in files:
+        try:
+            samples = list(_samples(read_file(path)))
+            ground = samples[0][3]
+            if not all(map(math.isfinite, chain.from_iterable(samples))):
+                raise ValueError("a number is infinite, or none")
+            there = [samples[0]]
+            there += (one for one in samples if one[0] - there[-1][0] >= _SAMPLE_S - 1e-9)
+            there = _mirrored(_begun(_mirrored(_begun(there, ground)), ground))
+        except BadPlan as error:
+            raise BadShow(error.seen, cause=error.cause, remedy=error.remedy) from error
+        except (ValueError, LookupError, TypeError, struct.error) as error:
+            raise BadShow(
+                f"{path} is no track: {error}",
+                cause="it is damaged, or of another program",
+                remedy=f"a .skyb of Skybrush, or CSV with the columns {_MS}, {', '.join(_METRES)}",
+            ) from error
+        points = []
+        for at, x, y, z in there:
+            north, east = x * ahead + y * right, x * right - y * ahead
+            spot = {"at": at, "north": north, "east": east, "height": z}
+            points.append({name: round(value, 3) for name, value in spot.items()})
+        aircraft.append({"name": path.stem, "ground_m": round(ground, 3), "waypoints": points})
+    if not aircraft:
+        raise BadShow("no track was named", remedy="name a file for each aircraft")
+    late = max(0.0, *(-one["waypoints"][0]["at"] for one in aircraft))  # no track begins before 0
+    for point in chain.from_iterable(one["waypoints"] for one in aircraft if late):
+        point["at"] = round(point["at"] + late, 3)
+    place = dict(zip(("latitude_deg", "longitude_deg"), origin, strict=True))
+    return {"format": FORMAT, "version": VERSION, "origin": place, "aircraft": aircraft}
+
+
+def _begun(points: list[_Sample], ground: float) -> list[_Sample]:
+    """A track from where it can be begun from a hover 1 m above the ground, and its way there."""
+    for first in range(len(points) - 1):
+        here, after = points[first : first + 2]
+        velocity = [(b - a) / (after[0] - here[0]) for a, b in zip(here, after, strict=True)][1:]
+        if here[3] - ground >= _LEAST_M + velocity[2] ** 2 / (2 * _BEGIN_M_S2):
+            break
+    else:
+        raise ValueError("it is never high enough above its first place")
+    lasts = math.hypot(*velocity) / _BEGIN_M_S2
+    many, way = math.ceil(lasts / _SAMPLE_S), []
+    for share in (step / many for step in range(many)):
+        back = lasts * (1 - share * share) / 2  # s of this velocity
+        x, y, z = (a - one * back for a, one in zip(here[1:], velocity, strict=True))
+        way.append((here[0] - lasts * (1 - share), x, y, z))
+    return way + points[first:]
+
+
+def _mirrored(points: list[_Sample]) -> list[_Sample]:
+    return [(-at, x, y, z) for at, x, y, z in reversed(points)]
+
+
+def _samples(data: bytes) -> Iterator[_Sample]:
+    if data[:4] == b"skyb":
+        yield from _of_skybrush(data)
+        return
+    rows = csv.DictReader(io.StringIO(data.decode("utf-8-sig")), skipinitialspace=True)
+    rows.fieldnames = [name.strip().lower() for name in rows.fieldnames or ()]
+    for row in rows:
+        x, y, z = (float(row[name]) for name in _METRES)
+        yield float(row[_MS]) / 1000, x, y, z
+
+
+def _of_skybrush(data: bytes) -> Iterator[_Sample]:
+    """The track in a file of version 1 or 2, as libskybrush reads it: Bézier curves.
+
+    The first byte of each says how many points of an axis follow, two bits for x, y, z and yaw.
+    """
+    has_sum = data[4] == 2 and data[5] & 1
+    if data[4] not in (1, 2):
+        raise ValueError(f"version {data[4]} of .skyb")
+    if has_sum and zlib.crc32(data[:6] + bytes(4) + data[10:], 0xFFFFFFFF) ^ 0xFFFFFFFF != (
+        int.from_bytes(data[6:10], "little")
+    ):
+        raise ValueError("its checksum is wrong")
+    at = 4 + data[4] + 4 * has_sum
+    while (kind := data[at]) != 1:
+        at += 3 + int.from_bytes(data[at + 1 : at + 3], "little")
+    end = at + 3 + int.from_bytes(data[at + 1 : at + 3], "little")
+    scale, here, when = (data[at + 3] & 0x7F) / 1000, struct.unpack_from("<hhh", data, at + 4), 0.0
+    if not scale or kind != 1 or end > len(data):
+        raise ValueError("it has no whole track")
+    at += 12
+    yield (when, *(one * scale for one in here))  # type: ignore[misc] # three of them
+    while at < end:
+        counts, seconds = data[at], int.from_bytes(data[at + 1 : at + 3], "little") / 1000
+        axes, at = [], at + 3
+        for axis in range(4):
+            many = (1 << (counts >> 2 * axis & 3)) - 1
+            axes.append((*here[axis : axis + 1], *struct.unpack_from(f"<{many}h", data, at)))
+            at += 2 * many
+        steps = math.ceil(seconds / _SAMPLE_S)
+        for step in range(1, steps + 1):
+            x, y, z = (_on_curve(one, step / steps) * scale for one in axes[:3])
+            yield when + seconds * step / steps, x, y, z
+        here, when = tuple(one[-1] for one in axes[:3]), when + seconds
+        if when > _LONGEST_S:
+            raise ValueError(f"it is longer than {_LONGEST_S:g} s")
+
+
+def _on_curve(points: Sequence[float], share: float) -> float:
+    """A Bézier curve of any degree, by de Casteljau."""
+    while len(points) > 1:
+        points = [a + (b - a) * share for a, b in pairwise(points)]
+    return points[0]

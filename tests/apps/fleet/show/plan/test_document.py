@@ -6,15 +6,26 @@ import itertools
 import json
 import math
 import random
+import struct
 import xml.etree.ElementTree as ET
+import zlib
 from collections.abc import Callable
+from contextlib import suppress
 from itertools import combinations, permutations
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from m100link.apps.fleet.show.plan.document import SKEW_S, Show, check, distances, needed_m, svg
+from m100link.apps.fleet.show.plan.document import (
+    SKEW_S,
+    Show,
+    check,
+    distances,
+    imported,
+    needed_m,
+    svg,
+)
 from m100link.apps.fleet.show.plan.track import (
     BadShow,
     TimedPoint,
@@ -481,3 +492,118 @@ def test_two_hundred_are_compared_with_those_near_them() -> None:
         for number in range(200)
     )
     assert len(Windows(tracks).near(9.0)) < 1200
+
+
+# -- tracks of other programs ----------------------------------------------------------------------
+# As libskybrush 6 and skybrush-server read and write them: blocks of a type, a length and a body,
+# little-endian; a track has its scale, its start in steps of so many mm, and a header, a duration
+# in ms and control points for each curve. x is ahead, y to the left, z up.
+
+TRACK = struct.pack("<Bhhhh", 2, 500, -250, 0, 0) + b"".join(
+    (
+        struct.pack("<BHh", 0b01_0000, 4000, 2000),  # up to 4 m
+        struct.pack("<BHh", 0b00_0001, 5000, 3000),  # ahead to 6 m
+        struct.pack("<BHhhh", 0b00_1000, 10_000, 0, 500, 750),  # a cubic curve to y = 1.5 m
+        struct.pack("<BHh", 0b01_0000, 4000, 0),
+    )
+)
+
+
+def block(kind: int, body: bytes) -> bytes:
+    return struct.pack("<BH", kind, len(body)) + body
+
+
+def skyb(version: int = 1, track: bytes = TRACK) -> bytes:
+    blocks = block(2, b"lights") + block(1, track) + block(3, b"a comment")
+    if version == 1:
+        return b"skyb\x01" + blocks
+    # CRC-32 of ArduPilot: begins with 0 and is not inverted; over zeros in its place.
+    crc = zlib.crc32(b"skyb\x02\x01" + bytes(4) + blocks, 0xFFFFFFFF) ^ 0xFFFFFFFF
+    return b"skyb\x02\x01" + struct.pack("<I", crc) + blocks
+
+
+def at_time(found: dict[str, Any], at: float) -> tuple[float, float, float]:
+    [one] = [point for point in found["aircraft"][0]["waypoints"] if point["at"] == at]
+    return one["north"], one["east"], one["height"]
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_a_track_of_skybrush_is_a_show(tmp_path: Path, version: int) -> None:
+    path = tmp_path / "a1.skyb"
+    path.write_bytes(skyb(version))
+    found = imported([path], (52.0, 4.0))
+    [one] = found["aircraft"]
+    assert (one["name"], one["ground_m"]) == ("a1", 0.0)
+    # It climbs at 1 m/s, which takes 1.67 s and 0.83 m by 0.6 m/s²: so from 1.83 m on.
+    first, last = one["waypoints"][0], one["waypoints"][-1]
+    assert (first["north"], first["east"]) == (1.0, 0.5), "y to the left of north is west"
+    assert 1.0 <= first["height"] < 1.0 + 0.25
+    assert first["at"] == pytest.approx(2.0 - 1.667, abs=0.001)
+    assert (last["at"], last["height"]) == pytest.approx((21.0 + 1.667, first["height"]), abs=0.001)
+    assert at_time(found, 9.0) == (6.0, 0.5, 4.0)
+    assert at_time(found, 14.0) == (6.0, -0.5, 4.0), "the middle of the curve: y = 0.5 m"
+    assert at_time(found, 19.0) == (6.0, -1.5, 4.0)
+    assert check(parse(found)).problems[0].seen.startswith("a1 accelerates"), (
+        "the corners are sharp"
+    )
+    turned = imported([path], (52.0, 4.0), orientation_deg=90.0)
+    assert at_time(turned, 9.0) == (0.5 - 1.0, 6.0, 4.0), "x to the east, and its left is north"
+
+
+def test_a_track_in_csv_is_a_show(tmp_path: Path) -> None:
+    """As Skybrush Studio exports it: with lights, some times a second."""
+    lines = ["Time [msec],x [m],y [m],z [m],Red,Green,Blue"]
+    for tick in range(0, 20_001, 100):
+        height = 12.0 - 2.0 * math.cos(math.tau * tick / 20_000)
+        lines.append(f"{tick},3.5,-2,{height},255,0,0")
+    path = tmp_path / "Drone 7.csv"
+    path.write_text("\r\n".join(lines), encoding="utf-8-sig")
+    found = imported([path], (52.0, 4.0))
+    [one] = found["aircraft"]
+    assert (one["name"], one["ground_m"]) == ("Drone 7", 10.0)
+    times = [point["at"] for point in one["waypoints"]]
+    assert 0.0 <= times[0] < 3.34 < 16.66 < times[-1] <= 20.0, "1 m above after a sixth"
+    assert min(b - a for a, b in itertools.pairwise(times)) >= 0.2 - 1e-9
+    show = parse(found)
+    assert show.tracks[0].moment(10.0).place == pytest.approx((3.5, 2.0, 14.0), abs=0.01)
+    report = check(show)
+    assert report.ok, report.problems
+
+
+@pytest.mark.parametrize(
+    ("data", "seen"),
+    [
+        (b"", "out of range"),
+        (b"x,y,z\n1,2,3\n", "x [m]"),
+        (b"time [msec],x [m],y [m],z [m]\n0,0,0,0\n1,0,0,nan\n", "infinite, or none"),
+        (b"time [msec],x [m],y [m],z [m]\n0,0,0,0\n1000,0,0,1\n", "never high enough"),
+        (b"time [msec],x [m],y [m],z [m]\n0,0,0\n", "float"),
+        (skyb()[:40], "no whole track"),
+        (skyb(2)[:-1] + b"!", "checksum"),
+        (b"skyb\x03" + skyb()[5:], "version 3"),
+        (b"skyb\x01" + block(2, b"lights"), "out of range"),
+        (skyb(track=b"\0" + TRACK[1:]), "no whole track"),
+        (skyb(track=TRACK + struct.pack("<BH", 0, 65_000) * 40), "longer than 2500 s"),
+        (skyb(track=TRACK + b"\x03"), "buffer"),
+    ],
+)
+def test_what_is_no_track_is_refused_with_its_reason(
+    tmp_path: Path, data: bytes, seen: str
+) -> None:
+    path = tmp_path / "a1.skyb"
+    path.write_bytes(data)
+    with pytest.raises(BadShow, match="is no track") as caught:
+        imported([path], (52.0, 4.0))
+    assert seen in caught.value.seen
+    assert ".skyb of Skybrush, or CSV" in caught.value.remedy
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_damaged_track_is_a_show_or_refused(tmp_path: Path, seed: int) -> None:
+    draw, path = random.Random(seed), tmp_path / "a1.skyb"
+    data = bytearray(skyb())
+    for _ in range(draw.randrange(1, 6)):
+        data[draw.randrange(5, len(data))] = draw.randrange(256)
+    path.write_bytes(data[: draw.randrange(5, len(data) + 1)])
+    with suppress(BadShow):
+        imported([path], (52.0, 4.0))
