@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+import re
 from collections.abc import Awaitable, Callable
 from contextvars import ContextVar
 from dataclasses import dataclass
@@ -331,7 +332,6 @@ class Tab:
     def _steer(
         self, message: dict[str, Any], at: float, late: float, held: float, now: float
     ) -> None:
-        self.refusal = None
         try:
             self._heard_beat(message, at)
             self._check(at, late, held)
@@ -343,6 +343,8 @@ class Tab:
             if self._agent.state.guided is not None:
                 self._newest = self._press
             self.beats += 1
+            if now > self._refused_until:  # the agent, too, refused no beat of the newest
+                self.refusal = None
         except M100Error as error:
             self.session.heard()  # the operator is there
             self._refused(error, lasting=0.0)
@@ -350,7 +352,8 @@ class Tab:
     def _refused(self, error: M100Error, lasting: float = BEAT_LIFETIME) -> None:
         """A beat was refused: by the agent, which answers later beats later, or at once here."""
         self.refused += 1
-        self.refusal = error
+        if self.refusal is None or _worded(self.refusal) != _worded(error):
+            self.refusal = error  # else its line stands: it is read out once, not with each beat
         if isinstance(error, GuardRefused) and error.guard == "stopped":
             self._has_to_let_go = error.seen.partition(";")[0]  # STOP, or somebody else's hover
         guard = error.guard if isinstance(error, GuardRefused) else ""
@@ -428,6 +431,11 @@ def _read(text: str | bytes) -> dict[str, Any] | None:
         if type(value) not in (int, float) or not -1e15 < value < 1e15:
             return None
     return message if op != "beat" or type(message.get("mode")) is int else None
+
+
+def _worded(error: M100Error) -> str:
+    """What it says but for its numbers, which are others with each beat."""
+    return re.sub(r"[\d.]+", "", error.seen)
 
 
 def _moves(wanted: Setpoint | None) -> bool:

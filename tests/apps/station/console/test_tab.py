@@ -9,6 +9,7 @@ import os
 import random
 import sys
 from collections.abc import Awaitable, Callable
+from functools import partial
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -418,6 +419,51 @@ async def test_problems_are_kept_for_the_operator(rig: Rig) -> None:
     assert "random commands" in browser.problem
     browser.beat(x=-36)
     assert "outside" in browser.problem
+
+
+@pytest.mark.parametrize("fault", ["silent", "late"])
+async def test_a_refusal_under_a_held_key_is_set_once_and_cleared_once(
+    rig: Rig, fault: str
+) -> None:
+    """A screen reader reads the line when it changes: with each beat it would read nothing else."""
+    browser = await airborne(rig)
+    session, shown = browser.tab.session, [browser.problem]
+    # Its answer comes from another process: later than the beat has returned.
+    session.on_refused = partial(asyncio.get_running_loop().call_later, 0.01, session.on_refused)
+
+    def look() -> None:
+        if shown[-1] != browser.problem:
+            shown.append(browser.problem)
+
+    async def hold(seconds: float) -> None:
+        for _ in range(round(seconds / 0.05)):
+            look()
+            browser.beat(x=-2)
+            look()
+            await anyio.sleep(0.05)
+
+    await hold(1.0)
+    if fault == "silent":
+        perform(rig.aircraft, "stall on")
+        await hold(3.0)
+        assert "does not hold control authority" in browser.problem
+        perform(rig.aircraft, "stall off")
+        browser.say("rest")
+        await keep_alive(browser, anyio.sleep(5.0))
+        await keep_alive(browser, browser.tab.session.obtain())
+        browser.say("rest")
+    else:
+        for beat in range(16):  # each later than the one before
+            text = browser.message("beat", mode=1, x=-2, y=0, z=0, w=0)
+            await anyio.sleep(0.4 + 0.01 * beat)
+            browser.hear(browser.tab.receive(text))
+            look()
+        assert "s late" in browser.problem
+        browser.say("rest")
+    assert len(shown) == 2
+    await hold(1.0)
+    assert len(shown) == 3
+    assert shown[0] == shown[2] == ""
 
 
 _VALUES = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=3)
