@@ -19,8 +19,7 @@ from m100link.apps.station.ros.graph import Graph
 from m100link.apps.station.ros.messages import MESSAGES, MessageType, _scalar_default
 from m100link.apps.station.web.access_control import AccessControl
 from m100link.apps.station.web.intake import Intake, Metered
-from m100link.apps.station.web.protocol import ANSWER_TIME, Config, HttpConnection
-from m100link.apps.station.web.server import Server
+from m100link.apps.station.web.protocol import ANSWER_TIME, Config, HttpConnection, Server
 from m100link.errors import M100Error
 from m100link.sim.clock import VirtualClockEventLoop
 from m100link.testing import ConnectableAircraft

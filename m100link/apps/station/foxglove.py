@@ -33,8 +33,12 @@ from m100link.apps.station.config import Settings, namespace_of
 from m100link.apps.station.listeners import Fronts, beside
 from m100link.apps.station.ros.messages import without_nan
 from m100link.apps.station.web.access_control import AccessControl
-from m100link.apps.station.web.protocol import WebSocketConnection
-from m100link.apps.station.web.server import frames_of, serve_http, until_one_ends
+from m100link.apps.station.web.protocol import (
+    WebSocketConnection,
+    frames_of,
+    serve_http,
+    until_one_ends,
+)
 from m100link.errors.texts import read_json
 from m100link.log.channels import (
     FIX,

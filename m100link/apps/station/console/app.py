@@ -27,7 +27,7 @@ from m100link.apps.station.console.tabs import Tabs
 from m100link.apps.station.listeners import Fronts
 from m100link.apps.station.web.access_control import AccessControl
 from m100link.apps.station.web.limits import PageRateLimit
-from m100link.apps.station.web.server import serve_http
+from m100link.apps.station.web.protocol import serve_http
 from m100link.apps.station.web.tiles import MapTiles
 from m100link.sim.orders import SimulatorOrders
 

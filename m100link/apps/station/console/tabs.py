@@ -20,8 +20,7 @@ from m100link.apps.station.console.kept import PlotHistory
 from m100link.apps.station.console.tab import Tab
 from m100link.apps.station.console.view.fly import FREE_FOR_S, live, seen_from_afar
 from m100link.apps.station.web.limits import to_evict
-from m100link.apps.station.web.protocol import WebSocketConnection
-from m100link.apps.station.web.server import frames_of, until_one_ends
+from m100link.apps.station.web.protocol import WebSocketConnection, frames_of, until_one_ends
 from m100link.protocol.records import FlightPhase
 from m100link.telemetry.state import AircraftState
 

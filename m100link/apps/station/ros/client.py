@@ -31,6 +31,7 @@ from m100link.apps.station.ros.messages import (
     to_cbor,
     to_png,
 )
+from m100link.apps.station.web.limits import FRAME_SIZE
 from m100link.errors.texts import read_json
 
 _Packing = tuple[int | None, str]
@@ -44,7 +45,7 @@ _LEVELS = ("none", "error", "warning", "info")
 
 @dataclass(frozen=True, slots=True)
 class ClientLimits:
-    message_size: int = 64 * 1024  # bytes of a frame it sends, and of a message from fragments
+    message_size: int = FRAME_SIZE
     bytes_rate: float = 128 * 1024  # bytes per second over time; four messages of full size at once
     # Seconds of processor time per second over time, for what it sends and gets.
     work_rate: float = 0.1

@@ -16,6 +16,9 @@ if TYPE_CHECKING:
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 
+FRAME_SIZE = 64 * 1024  # bytes of a frame of a client, and of a message from fragments
+
+
 # -- how many connections may speak HTTP -----------------------------------------------------------
 
 

@@ -31,7 +31,8 @@ from m100link.apps.agent.messages import LinkCounted
 from m100link.apps.station.listeners import Fronts
 from m100link.apps.station.ros.client import Client
 from m100link.apps.station.web.access_control import AccessControl
-from m100link.apps.station.web.server import RosbridgeServer, serve_http
+from m100link.apps.station.web.protocol import serve_http
+from m100link.apps.station.web.server import RosbridgeServer
 from m100link.protocol.items import ITEMS
 
 if TYPE_CHECKING:

@@ -9,14 +9,11 @@ import asyncio
 import contextlib
 import logging
 import os
-import socket
-import ssl
 import time
-from collections.abc import AsyncIterator, Callable, Coroutine, Generator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, cast
+from typing import TYPE_CHECKING, Any
 
-import uvicorn
 from starlette.applications import Starlette
 from starlette.responses import JSONResponse, PlainTextResponse, Response
 from starlette.routing import BaseRoute, Mount, Route, WebSocketRoute
@@ -34,20 +31,21 @@ from m100link.apps.station.ros.graph import Graph, add_rosapi, add_rosout
 from m100link.apps.station.ros.leases import Clients
 from m100link.apps.station.ros.node_2015 import Node2015
 from m100link.apps.station.web.access_control import AccessControl
-from m100link.apps.station.web.intake import Intake, SocketListener
 from m100link.apps.station.web.limits import to_evict
-from m100link.apps.station.web.protocol import PATIENCE, Config, HttpConnection, WebSocketConnection
+from m100link.apps.station.web.protocol import (
+    WebSocketConnection,
+    frames_of,
+    serve_http,
+    until_one_ends,
+)
 from m100link.errors import UsageError
 
 if TYPE_CHECKING:
     from starlette.requests import Request
-    from starlette.types import ASGIApp
 
     from m100link.apps.station.config import Settings
 
 
-PING_INTERVAL, PING_TIMEOUT = 2.0, 3.0
-_BACKLOG = 128
 _GUARD_INTERVAL = 0.05
 _LAG = 0.1
 _PACKING_TIME = 0.001
@@ -248,103 +246,6 @@ def _frames(session: Client) -> list[str | bytes]:
     return frames
 
 
-async def frames_of(websocket: WebSocket) -> AsyncIterator[str | bytes]:
-    """The frames that a client sends, until it leaves."""
-    while True:
-        message = await websocket.receive()
-        if message["type"] == "websocket.disconnect":
-            return
-        data = message.get("text")
-        yield message.get("bytes", b"") if data is None else data
-        # Frames may wait in a row: others have their turn between them.
-        await asyncio.sleep(0)
-
-
-async def until_one_ends(
-    *works: Coroutine[Any, Any, object],
-    at_once: Callable[[], None] = lambda: None,  # called before the others are ended
-) -> None:
-    """Run them together until the first one ends, whatever it met, and end the others."""
-    tasks = [asyncio.create_task(work) for work in works]
-    try:
-        await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-    finally:
-        at_once()
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
-
-
-class Server(uvicorn.Server):
-    """uvicorn inside a program: signals stay with the program."""
-
-    @contextlib.contextmanager
-    def capture_signals(self) -> Generator[None, None, None]:
-        """Leave the signals alone; the program ends the server by ``should_exit``."""
-        yield
-
-    @classmethod
-    def make(
-        cls,
-        app: ASGIApp,
-        settings: Settings,
-        *,
-        lifespan: Literal["on", "off"] = "off",
-        intake: Intake | None = None,
-    ) -> Server:
-        config = Config(
-            app,
-            intake,
-            ws_max_size=ClientLimits().message_size,
-            ws_ping_interval=PING_INTERVAL,
-            ws_ping_timeout=PING_TIMEOUT,
-            ws_per_message_deflate=False,
-            timeout_graceful_shutdown=2,
-            timeout_keep_alive=5,
-            lifespan=lifespan,
-            log_config=None,
-            log_level="warning",  # its "info" prints addresses with their tokens
-            access_log=False,
-            server_header=False,
-            ssl_certfile=settings.tls_cert,
-            ssl_keyfile=settings.tls_key,
-        )
-        try:
-            config.load()
-        except (OSError, ssl.SSLError) as error:
-            key = settings.tls_key or "in the same file"
-            raise UsageError(
-                f"the TLS files cannot be used: {getattr(error, 'strerror', None) or error}",
-                remedy=f"the certificate is {settings.tls_cert}, its key {key}: check both paths, "
-                "their permissions, and that both are PEM",
-            ) from error
-        return cls(config)
-
-    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        """Begin to listen. A TLS handshake has as little time as a first request."""
-        await self.lifespan.startup()
-        config = cast(Config, self.config)
-        self.server_state.default_headers = list(config.encoded_headers)
-
-        def connection() -> asyncio.Protocol:
-            return HttpConnection(config, self.server_state, self.lifespan.state)
-
-        self.servers = []
-        for one in sockets or []:
-            one.listen(_BACKLOG)
-            listener = SocketListener(
-                one, config.intake, config.door, connection, context=config.ssl, patience=PATIENCE
-            )
-            # uvicorn only closes it.
-            self.servers.append(cast(asyncio.Server, listener))
-        self.started = True
-
-    def stop_listening(self) -> None:
-        """Take no new connections; those that are there stay."""
-        for one in self.servers:
-            one.close()
-
-
 # -- as a front ------------------------------------------------------------------------------------
 
 
@@ -354,30 +255,6 @@ async def serve(fronts: Fronts) -> None:
     bridge = RosbridgeServer(agents, max_clients=settings.max_clients, pages=settings.pages)
     fronts.made["rosbridge"], fronts.dropped["rosbridge"] = bridge, bridge.dropped
     await serve_http(fronts, "rosbridge", bridge.app(settings))
-
-
-async def serve_http(
-    fronts: Fronts, name: str, app: ASGIApp, *, lifespan: Literal["on", "off"] = "off"
-) -> None:
-    server = Server.make(app, fronts.settings, lifespan=lifespan, intake=fronts.intake)
-    await fronts.stack.enter_async_context(_serving(server, fronts.take(name)))
-    fronts.leave_port.append(server.stop_listening)
-
-
-@contextlib.asynccontextmanager
-async def _serving(server: Server, sockets: list[socket.socket]) -> AsyncIterator[None]:
-    serving = asyncio.create_task(server.serve(sockets=sockets), name="m100link station: server")
-    try:
-        while not (server.started or serving.done()):  # noqa: ASYNC110 - uvicorn has no event
-            await asyncio.sleep(0.01)
-        if serving.done():
-            await serving
-        yield
-    finally:
-        server.should_exit = True  # uvicorn closes the clients' connections
-        await asyncio.gather(serving, return_exceptions=True)
-        for one in sockets:
-            one.close()
 
 
 # -- folders that the station serves ---------------------------------------------------------------

@@ -17,7 +17,7 @@ pytest.importorskip("starlette")
 
 from m100link.apps.station.config import Settings
 from m100link.apps.station.run import RunningStation, running
-from m100link.apps.station.web import intake, protocol, server
+from m100link.apps.station.web import intake, protocol
 from m100link.sim.virtual import VirtualAircraft
 from tests.sockets import connect
 from tests.waiting import PATIENCE
@@ -115,8 +115,7 @@ async def half_open(port: int, begin: bytes = b"") -> socket.socket:
 async def test_connections_that_ask_nothing_lock_nobody_out(
     begin: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for module in (protocol, server):  # none of them is let go meanwhile
-        monkeypatch.setattr(module, "PATIENCE", 2 * PATIENCE)
+    monkeypatch.setattr(protocol, "PATIENCE", 2 * PATIENCE)  # none of them is let go meanwhile
     async with station() as one:
         port = one.sockets.port("rosbridge")
         await until(lambda: one.agent.connection.aircraft is not None)

@@ -355,8 +355,8 @@ async def test_a_client_that_keeps_the_loop_from_running_is_let_go(
 async def test_a_pong_that_comes_late_by_our_own_fault_cuts_nobody(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("m100link.apps.station.web.server.PING_INTERVAL", 0.1)
-    monkeypatch.setattr("m100link.apps.station.web.server.PING_TIMEOUT", 0.2)
+    monkeypatch.setattr("m100link.apps.station.web.protocol.PING_INTERVAL", 0.1)
+    monkeypatch.setattr("m100link.apps.station.web.protocol.PING_TIMEOUT", 0.2)
     async with station() as one, connect(address(one), ping_interval=None) as client:
         # A client whose pongs are late, and that goes on talking.
         send_frame = client.protocol.send_frame
