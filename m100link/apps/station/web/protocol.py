@@ -155,6 +155,11 @@ class WebSocketConnection(WebSocketsSansIOProtocol):
         else:
             self.conn.data_to_send()
 
+    def shutdown(self) -> None:
+        """End it with the server; one that is closing already is left to its end."""
+        if not self.transport.is_closing():
+            super().shutdown()
+
     def handle_connect(self, event: Request) -> None:
         """Let the application find this connection as ``state["connection"]``."""
         super().handle_connect(event)
@@ -258,6 +263,11 @@ class HttpConnection(H11Protocol):
     def turn_out(self) -> None:
         self._end_patience()
         self.transport.abort()
+
+    def shutdown(self) -> None:
+        """End it with the server; one that is closing already is left to its end."""
+        if not self.transport.is_closing():
+            super().shutdown()
 
     # uvicorn narrows the argument as well: what it is given is always a transport with both ways.
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
@@ -415,7 +425,9 @@ async def _serving(server: Server, sockets: list[socket.socket]) -> AsyncIterato
         yield
     finally:
         server.should_exit = True  # uvicorn closes the clients' connections
-        await asyncio.gather(serving, return_exceptions=True)
+        (met,) = await asyncio.gather(serving, return_exceptions=True)
+        if server.started and isinstance(met, Exception):
+            logging.getLogger(__name__).error("a server did not end in order", exc_info=met)
         for one in sockets:
             one.close()
 

@@ -14,8 +14,13 @@ import pytest
 pytest.importorskip("uvicorn")
 pytest.importorskip("starlette")
 
+from starlette.applications import Starlette
+from starlette.routing import WebSocketRoute
+from starlette.websockets import WebSocket, WebSocketDisconnect
+from websockets.frames import Frame
 
 from m100link.apps.station.config import Settings
+from m100link.apps.station.listeners import Fronts, Sockets
 from m100link.apps.station.run import RunningStation, running
 from m100link.apps.station.web import intake, protocol
 from m100link.sim.virtual import VirtualAircraft
@@ -312,6 +317,53 @@ async def test_a_text_that_is_none_ends_its_connection_and_is_no_report(
         writer.close()
     assert b"\x88\x02\x03\xef" in rest  # a close frame with 1007
     assert not [line for line in caplog.records if line.exc_info]
+
+
+async def read_later(reader: asyncio.StreamReader) -> None:
+    await asyncio.sleep(0.3)  # the server has told its connections to end by then
+    await reader.read()
+
+
+async def test_a_socket_that_is_closing_keeps_no_server_from_its_end(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its application ends in order, and not by a traceback when the process ends."""
+    ended: list[str] = []
+    closing = asyncio.Event()
+    closed = protocol.WebSocketConnection.handle_close
+
+    def watched(self: protocol.WebSocketConnection, event: Frame) -> None:
+        closed(self, event)
+        closing.set()
+
+    monkeypatch.setattr(protocol.WebSocketConnection, "handle_close", watched)
+
+    @contextlib.asynccontextmanager
+    async def lifespan(_: Starlette) -> AsyncIterator[None]:
+        yield
+        ended.append("in order")
+
+    async def talk(websocket: WebSocket) -> None:
+        await websocket.accept()
+        with contextlib.suppress(WebSocketDisconnect):
+            await websocket.send_bytes(bytes(20_000_000))  # more than its client takes
+            await websocket.receive_bytes()
+
+    app = Starlette(routes=[WebSocketRoute("/", talk)], lifespan=lifespan)
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        listening.setblocking(False)
+        async with contextlib.AsyncExitStack() as stack:
+            sockets = Sockets({"here": [listening]})
+            fronts = Fronts(stack, Settings(), sockets, {}, {}, is_kept=False)
+            await protocol.serve_http(fronts, "here", app, lifespan="on")
+            reader, writer = await opened(sockets.port("here"))
+            writer.write(frame(CLOSE, (1000).to_bytes(2, "big")))
+            await asyncio.wait_for(closing.wait(), PATIENCE)
+            draining = asyncio.create_task(read_later(reader))
+        await draining
+        writer.close()
+    assert ended == ["in order"]
+    assert not [line for line in caplog.records if line.levelname == "ERROR"]
 
 
 async def test_a_client_that_pings_and_reads_nothing_grows_nothing(
