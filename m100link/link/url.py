@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import math
+import os
 import re
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
 
 from m100link.errors import BadURL
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 DEFAULT_BAUD_RATE = 230_400
 """Rate of the document's launch file; the PC assistant can change it (errata 50)."""
@@ -46,8 +52,8 @@ class ConnectionString:
         return f"{self.scheme}://{target}{number}"
 
 
-def _bad(url: str, why: str) -> BadURL:
-    return BadURL(f"{url!r} {why}", remedy=LIKE_THESE)
+def _bad(url: str, why: str, remedy: str = LIKE_THESE) -> BadURL:
+    return BadURL(f"{url!r} {why}", remedy=remedy)
 
 
 def parse_url(url: str, *, baud_rate: int | None = None) -> ConnectionString:
@@ -103,3 +109,65 @@ def _tcp(url: str, text: str) -> ConnectionString:
     if not host or not port:
         raise _bad(url, f"has no {'host' if not host else 'port number'}")
     return ConnectionString("tcp", host, port)
+
+
+# -- recorded flights ------------------------------------------------------------------------------
+
+SLOWEST, FASTEST = 0.1, 100.0
+"""Times as fast as it was flown; besides them, infinity: as fast as it is taken."""
+
+_REPLAY = "replay://"
+_OPTIONS = ("speed", "from", "to")
+_LIKE_THIS = f"write it like {_REPLAY}flight.mcap?speed=2&from=30&to=90"
+
+
+class ReplayURL(NamedTuple):
+    """A parsed ``replay://`` URL."""
+
+    path: Path
+    speed: float = 1.0  # times as fast as it was flown; infinity for max
+    from_s: float = 0.0  # from where to where, seconds from its first byte
+    to_s: float = math.inf
+
+
+def parse_replay(url: str) -> ReplayURL:
+    """Read a ``replay://`` URL: a path, and options behind a ``?``; ``BadURL`` if it is none."""
+    from urllib.parse import parse_qsl, unquote  # which no line needs
+
+    from m100link.errors.texts import read_path
+
+    target = url.strip().removeprefix(_REPLAY)
+    name, mark, options = target.rpartition("?")
+    if not mark or ("=" not in options and options):
+        name, options = target, ""
+    if not name:
+        raise _bad(url, "names no file", _LIKE_THIS)
+    path = read_path(name)
+    if "%" in name and not os.path.exists(path):
+        path = read_path(unquote(name))
+    values: dict[str, float] = {}
+    for option, text in parse_qsl(options, keep_blank_values=True):
+        if option not in _OPTIONS:
+            raise _bad(
+                url, f"has the option {option!r}; there are {', '.join(_OPTIONS)}", _LIKE_THIS
+            )
+        values[option] = _number(url, option, text)
+    begin, end = values.get("from", 0.0), values.get("to", math.inf)
+    if begin >= end:
+        raise _bad(url, "ends before it begins", _LIKE_THIS)
+    return ReplayURL(path, values.get("speed", 1.0), begin, end)
+
+
+def _number(url: str, option: str, text: str) -> float:
+    if option == "speed" and text == "max":
+        return math.inf
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if option == "speed" and not SLOWEST <= value <= FASTEST:
+        limits = f"{SLOWEST:g} to {FASTEST:g} or max"
+        raise _bad(url, f"has the speed {text!r}, which is not {limits}", _LIKE_THIS)
+    if not 0.0 <= value < math.inf:
+        raise _bad(url, f"has {option}={text!r}, which is not a number of seconds", _LIKE_THIS)
+    return value

@@ -12,6 +12,7 @@ from m100link.errors import LinkClosed, OnlyRecorded, ReplayEnded, UsageError
 from m100link.errors.usage import unread
 from m100link.link import Direction, Tap
 from m100link.link.link import Link
+from m100link.link.url import FASTEST, SLOWEST
 from m100link.log.channels import EVENT
 from m100link.log.damage import Damage
 from m100link.log.reading import Chunk, FlightLog, Message
@@ -20,9 +21,6 @@ from m100link.protocol.firmware import FirmwareProfile
 from m100link.protocol.records import AccelerationMode
 from m100link.session.events import SessionMode
 from m100link.wire import Frame, FrameDecoder
-
-SLOWEST, FASTEST = 0.1, 100.0
-"""Times as fast as it was flown; besides them, infinity: as fast as it is taken."""
 
 RUN_UP_S = 2.5
 """Messages from so long before the beginning come at once: items of 1 Hz are known then."""

@@ -24,7 +24,6 @@ from m100link import (
     Sample,
     connect,
 )
-from m100link.aircraft.replaying import parse_replay
 from m100link.errors import (
     BadURL,
     CommandNotSupported,
@@ -35,6 +34,7 @@ from m100link.errors import (
     UsageError,
 )
 from m100link.link import Direction
+from m100link.link.url import parse_replay
 from m100link.log import read, recorder
 from m100link.log.channels import COMMAND, RX, TX
 from m100link.protocol.commands.activation import SendToMobile

@@ -32,6 +32,7 @@ from m100link.errors import (
     ReplayEnded,
 )
 from m100link.link import Link
+from m100link.link.url import parse_replay
 from m100link.protocol.codes import ActivationCode
 from m100link.protocol.commands.activation import GetVersion
 from m100link.protocol.commands.gimbal import GimbalAngle, GimbalSpeed
@@ -393,9 +394,9 @@ def test_a_part_of_a_recording_is_named_in_seconds(
 ) -> None:
     if told is None:
         with pytest.raises(BadURL):
-            replaying.parse_replay(f"replay://a.mcap{options}")
+            parse_replay(f"replay://a.mcap{options}")
     else:
-        assert replaying.parse_replay(f"replay://a.mcap{options}")[1:] == told
+        assert parse_replay(f"replay://a.mcap{options}")[1:] == told
 
 
 async def test_a_recording_of_no_known_firmware_is_asked_for_one(

@@ -16,7 +16,6 @@ from typing import Any
 
 from websockets.exceptions import InvalidState
 
-from m100link.aircraft.replaying import parse_replay
 from m100link.apps.agent.codec import decode as decode_message
 from m100link.apps.agent.codec import encode as encode_message
 from m100link.apps.agent.messages import Event, Hello, LeaseChanged, MessageError, State
@@ -27,7 +26,7 @@ from m100link.apps.station.config import read_launch
 from m100link.apps.station.ros.client import Client
 from m100link.apps.station.ros.graph import Graph, add_rosapi
 from m100link.errors import BadPlan, BadURL, LayoutMismatch, M100Error, UsageError
-from m100link.link.url import parse_url
+from m100link.link.url import parse_replay, parse_url
 from m100link.log.channels import RateLimiter
 from m100link.missions.plan import WaypointPlan
 from m100link.protocol.command import plain

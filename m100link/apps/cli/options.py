@@ -11,7 +11,7 @@ import inspect
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping
-from functools import partial
+from functools import cache, partial
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_type_hints
 
 from cyclopts import App, Group, Parameter, validators
@@ -77,6 +77,7 @@ def offered(candidates: Iterable[str] | Callable[[], Iterable[str]]) -> Any:
     return Parameter(completer=lambda _: list(candidates() if callable(candidates) else candidates))
 
 
+@cache
 def attribute_texts(source: type) -> dict[str, str]:
     """The sentences of the docstring's section "Attributes", by attribute."""
     _, _, section = (inspect.getdoc(source) or "").partition("\nAttributes:\n")
@@ -92,6 +93,9 @@ def attribute_texts(source: type) -> dict[str, str]:
         elif line.strip():
             break
     return texts
+
+
+_hints = cache(get_type_hints)  # a station makes six sets of options of one class
 
 
 def options_of(
@@ -112,7 +116,7 @@ def options_of(
     """
     if isinstance(names, Mapping):
         called = {name: f"--{option}" for name, option in names.items()}
-    texts, hints = attribute_texts(source), get_type_hints(source)
+    texts, hints = attribute_texts(source), _hints(source)
     fields = {field.name: field for field in dataclasses.fields(source)}
     made = []
     for name in names:

@@ -13,12 +13,12 @@ import webbrowser
 from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol
 
 from cyclopts import Parameter
 
-from m100link.apps.agent import orders
 from m100link.apps.cli.common import Ended, err, layer_of_settings, out, places
 from m100link.apps.cli.configuration import read_configuration
 from m100link.apps.cli.options import Json, On, offered
@@ -87,11 +87,9 @@ async def run_station(
     if with_rosbridge or with_console:
         require_packages()
     served = {"with_console": with_console, "with_rosbridge": with_rosbridge}
-    from m100link.apps.agent.messages import JOURNAL_LOG
     from m100link.apps.station.supervisor import leave_what_stays
 
     ended = Ended()
-    tell_elsewhere(JOURNAL_LOG)
     log_of(next(iter(aircraft)) if len(aircraft) == 1 else "")
     with FlightProgress("talk", MOST_UNWRITTEN) as teller:
         tell = partial(tell_event, teller, options.log, is_named=len(aircraft) > 1)
@@ -117,7 +115,8 @@ async def run_station(
 def require_packages() -> None:
     """Look for the packages that serve pages. Raises UsageError: one is missing."""
     for package in ("cbor2", "starlette", "uvicorn", "websockets"):
-        of_extra(package, "the ground station", "station")
+        if find_spec(package) is None:  # the process of the fronts loads them
+            of_extra(package, "the ground station", "station")
 
 
 Keys = Callable[[Any, asyncio.Event], contextlib.AbstractContextManager[None]]
@@ -144,24 +143,32 @@ async def _running(
     tell: Callable[[str, Event], None],
 ) -> AsyncIterator[tuple[_Station, ChildProcess | None]]:
     """The station, and the process of its fronts."""
-    from m100link.apps.station.run import RunningTwoProcess, running, running_apart, running_several
+    from m100link.apps.station.supervisor import beginning_fronts
 
-    if len(aircraft) > 1:
-        if options.single_process:
-            raise UsageError("one process has one aircraft", remedy="leave out --single-process")
-        async with running_several(aircraft, **served, tell=tell) as several:
+    if options.single_process and len(aircraft) > 1:
+        raise UsageError("one process has one aircraft", remedy="leave out --single-process")
+    async with contextlib.AsyncExitStack() as stack:
+        enter = stack.enter_async_context
+        is_apart = len(aircraft) > 1 or not (options.single_process or sys.platform == "win32")
+        begun = await enter(beginning_fronts(aircraft, **served)) if is_apart else None
+        # Loaded while the other process loads the fronts.
+        from m100link.apps.agent.messages import JOURNAL_LOG
+        from m100link.apps.station.run import running, running_apart, running_several
+
+        tell_elsewhere(JOURNAL_LOG)
+        if len(aircraft) > 1:
+            several = await enter(running_several(aircraft, **served, begun=begun, tell=tell))
             yield several, several.front
-        return
-    ((name, settings),) = aircraft.items()
-    is_windows = sys.platform == "win32"
-    if is_windows and not (settings.sim or settings.is_replay):
-        err.print("[yellow]warning:[/] on Windows one process both flies and serves clients")
-    run = running if options.single_process or is_windows else running_apart
-    async with run(settings, **served) as one:
+            return
+        ((name, settings),) = aircraft.items()
+        if sys.platform == "win32" and not (settings.sim or settings.is_replay):
+            err.print("[yellow]warning:[/] on Windows one process both flies and serves clients")
+        run: Any = partial(running_apart, begun=begun) if is_apart else running
+        one = await enter(run(settings, **served))
         for event in one.agent.journal.events:
             tell(name, event)
         one.agent.journal.on_event.append(partial(tell, name))
-        yield one, one.front if isinstance(one, RunningTwoProcess) else None
+        yield one, one.front if is_apart else None
 
 
 def tell_event(
@@ -593,6 +600,8 @@ def _keys(station: Any, ended: asyncio.Event) -> Iterator[None]:
 
 
 async def _order(station: Any, text: str) -> None:
+    from m100link.apps.agent import orders  # a station begins its fronts before it loads what flies
+
     agents = getattr(station, "agents", None)
     asked = [station.agent] if agents is None else [*agents.values()]
     refused = False

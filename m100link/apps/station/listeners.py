@@ -24,17 +24,19 @@ import socket
 from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Mapping, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager, suppress
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from m100link.apps.agent.background import goes_on
-from m100link.apps.agent.client import AgentClient
-from m100link.apps.agent.transports import Channel
 from m100link.apps.station.config import Settings
 from m100link.apps.station.web.access_control import Access
 from m100link.apps.station.web.intake import Intake
 from m100link.errors import LinkError, M100Error, PortBusy, PortFailed, UsageError
 from m100link.errors.usage import of_extra
-from m100link.sim.orders import SimulatorOrders
+
+if TYPE_CHECKING:  # the process that opens sockets begins the fronts before it loads what flies
+    from m100link.apps.agent.client import AgentClient
+    from m100link.apps.agent.transports import Channel
+    from m100link.sim.orders import SimulatorOrders
 
 REACH_PAUSE = 0.5  # seconds between two looks whether an agent that has gone is there again
 
@@ -43,7 +45,7 @@ _LAST_PORT = 65535
 
 _logger = logging.getLogger(__name__)
 
-Reach = Callable[[], Awaitable[Channel]]  # opens a channel to an agent
+Reach = Callable[[], "Awaitable[Channel]"]  # opens a channel to an agent
 
 
 # -- the registry ----------------------------------------------------------------------------------
@@ -229,6 +231,8 @@ class Fronts:
 
         Raises ``LinkError``: one of them cannot be reached.
         """
+        from m100link.apps.agent.client import AgentClient
+
         agents = {}
         for aircraft, reach in self._reach.items():
             agent = await self.stack.enter_async_context(AgentClient(await reach(), client))

@@ -8,7 +8,7 @@ event loop, for tests and for looking into it.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Callable, Iterable, Mapping
+from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass, fields, replace
 from functools import partial
@@ -20,9 +20,9 @@ from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.messages import Event
 from m100link.apps.agent.server.agent import Agent
 from m100link.apps.agent.server.connection import Connect, by_driver, by_url, envelope_of
-from m100link.apps.agent.server.replays import Replays, file_of
+from m100link.apps.agent.server.replays import Replays
 from m100link.apps.agent.server.server import AgentServer
-from m100link.apps.station.config import MOST_AIRCRAFT, ONLY_NAME, Settings
+from m100link.apps.station.config import ONLY_NAME, Settings
 from m100link.apps.station.listeners import (
     FRONTS,
     Fronts,
@@ -31,7 +31,7 @@ from m100link.apps.station.listeners import (
     open_sockets,
     serving_fronts,
 )
-from m100link.apps.station.supervisor import ChildProcess, supervised
+from m100link.apps.station.supervisor import ChildProcess, as_json, beginning_fronts, supervised
 from m100link.errors import UsageError
 from m100link.geodesy import LocalFrame
 from m100link.log.folder import Flights, default_folder
@@ -47,10 +47,8 @@ if TYPE_CHECKING:
     from m100link.apps.station.web.server import RosbridgeServer
 
 
-FRONT_NICENESS = 5  # a third of the agent's share of a busy processor: it still serves
 END_TIMEOUT = 15.0  # seconds that an agent has to give control authority back and end
 
-_NOT_FOR_FRONTS = ("url", "key", "key_file", "app_id", "token_file", "origins", "unused")
 _FOR_AGENTS = (
     *("url", "baud_rate", "firmware", "timeout", "acceleration", "sim"),
     *("app_id", "key", "key_file", "level"),
@@ -236,61 +234,9 @@ class RunningTwoProcess:
         return str(self.front.answer["console_path"])
 
 
-def front_settings(settings: Settings) -> dict[str, Any]:
-    """The settings for the fronts, as JSON takes it: nothing of the app and its key.
-
-    Raises ``UsageError``: the token cannot be one.
-    """
-    given = {
-        one.name: getattr(settings, one.name)
-        for one in fields(settings)
-        if one.name not in _NOT_FOR_FRONTS
-    }
-    given["token"] = settings.access_token()
-    if not (settings.mavlink or settings.mavlink_to):  # they alone give logs away
-        given["record"] = None
-    return _as_json(given)
-
-
-def _as_json(given: Mapping[str, Any]) -> dict[str, Any]:
-    """Settings by name, as JSON takes them and :mod:`m100link.apps.station.config` reads them."""
-    return {
-        name: str(value) if isinstance(value, Path) else value
-        for name, value in given.items()
-        if value is not None
-    }
-
-
-async def _front_process(
-    stack: AsyncExitStack,
-    settings: Settings,  # of access and of services
-    sockets: Sockets,
-    note: Callable[[str, str], None],  # takes what happens to the process, and its level
-    aircraft: Iterable[Settings],
-) -> ChildProcess:
-    """The process of the fronts, which loads them while the agents connect."""
-    descriptors = sockets.descriptors()
-    recordings = [
-        (file_of(one.url), one.firmware or "")
-        for one in aircraft
-        if one.url is not None and one.is_replay and "console" in descriptors
-    ]
-    front = ChildProcess(
-        "fronts",
-        "the fronts",
-        {"settings": front_settings(settings), "sockets": descriptors},
-        note,
-        inherited=[number for row in descriptors.values() for number in row],
-        loads=(FRONT_NICENESS, list(descriptors), recordings),
-    )
-    stack.push_async_callback(front.end)
-    await front.begin()
-    return front
-
-
 def _reached(agents: Mapping[str, Path], orders: Mapping[str, Path]) -> dict[str, Any]:
     """Where each agent serves and each virtual aircraft takes orders, by the aircraft's name."""
-    return {"agents": _as_json(agents), "orders": _as_json(orders)}
+    return {"agents": as_json(agents), "orders": as_json(orders)}
 
 
 @asynccontextmanager
@@ -300,23 +246,25 @@ async def running_apart(
     with_console: bool = False,
     with_rosbridge: bool = True,
     virtual: VirtualAircraft | None = None,
+    begun: tuple[Sockets, ChildProcess] | None = None,  # by `beginning_fronts`
 ) -> AsyncIterator[RunningTwoProcess]:
     """Run a station while the block runs, with its fronts in a process of their own.
 
     Raises ``UsageError, PortBusy, PortFailed``: something in the settings cannot be, or a port is
     taken.
     """
-    front_settings(settings)  # before anything is bound
+    served = {"with_console": with_console, "with_rosbridge": with_rosbridge}
     async with AsyncExitStack() as stack:
-        sockets = open_sockets(
-            stack, settings, with_console=with_console, with_rosbridge=with_rosbridge
-        )
+        if begun is None:
+            here = {ONLY_NAME: settings}
+            begun = await stack.enter_async_context(beginning_fronts(here, **served))
+        sockets, front = begun
         directory = stack.enter_context(transports.private_directory())
 
         def note(text: str, level: str) -> None:
             owner.agent.journal.note(text, level)
 
-        front = await _front_process(stack, settings, sockets, note, [settings])
+        front.note = note
         owner = await stack.enter_async_context(owning(settings, virtual))
         agent_path = directory / "agent.sock"
         await stack.enter_async_context(transports.serve_unix(agent_path, owner.service.attach))
@@ -358,7 +306,7 @@ class RunningMultiVehicle:
 def agent_settings(settings: Settings) -> dict[str, Any]:
     """The settings for an agent, as JSON takes it: nothing of access control."""
     found = {one.name: getattr(settings, one.name) for one in fields(settings)}
-    return _as_json({name: found[name] for name in _FOR_AGENTS})
+    return as_json({name: found[name] for name in _FOR_AGENTS})
 
 
 @asynccontextmanager
@@ -367,6 +315,7 @@ async def running_several(
     *,
     with_console: bool = False,
     with_rosbridge: bool = True,
+    begun: tuple[Sockets, ChildProcess] | None = None,  # by `beginning_fronts`
     tell: Tell = lambda *_: None,  # called with the name of an aircraft and each of its events
 ) -> AsyncIterator[RunningMultiVehicle]:
     """Run a station while the block runs.
@@ -374,19 +323,11 @@ async def running_several(
     Raises ``UsageError, PortBusy, PortFailed``: something in the settings cannot be, or a port is
     taken.
     """
-    if not 1 <= len(aircraft) <= MOST_AIRCRAFT:
-        raise UsageError(
-            f"{len(aircraft)} aircraft are too many for one station",
-            remedy=f"one station has at most {MOST_AIRCRAFT}: start another one beside it",
-        )
-    settings = next(iter(aircraft.values()))
-    front_settings(settings)
-    if settings.ros2:
-        FRONTS["ros2"].load().check_ros2(settings, list(aircraft))  # all before anything is bound
+    served = {"with_console": with_console, "with_rosbridge": with_rosbridge}
     async with AsyncExitStack() as stack:
-        sockets = open_sockets(
-            stack, settings, with_console=with_console, with_rosbridge=with_rosbridge
-        )
+        if begun is None:
+            begun = await stack.enter_async_context(beginning_fronts(aircraft, **served))
+        sockets, front = begun
         directory = stack.enter_context(transports.private_directory())
         agents: dict[str, AgentClient] = {}
 
@@ -407,7 +348,7 @@ async def running_several(
             for name in agents:
                 note(name, text, level)
 
-        front = await _front_process(stack, settings, sockets, note_all, aircraft.values())
+        front.note = note_all
         await stack.enter_async_context(supervised(*owners.values(), timeout=END_TIMEOUT))
         paths = {name: _path(directory, place) for place, name in enumerate(aircraft)}
         for name, path in paths.items():

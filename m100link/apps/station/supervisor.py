@@ -13,16 +13,19 @@ import json
 import os
 import signal
 import sys
-from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
-from contextlib import asynccontextmanager, suppress
-from dataclasses import asdict
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
+from contextlib import AsyncExitStack, asynccontextmanager, suppress
+from dataclasses import asdict, fields
+from pathlib import Path
 from typing import Any
 
 from m100link.apps.agent.background import when_signalled
-from m100link.apps.agent.messages import RemoteError
+from m100link.apps.station.config import MOST_AIRCRAFT, Settings
+from m100link.apps.station.listeners import FRONTS, Sockets, open_sockets
 from m100link.apps.station.log_output import LogOutput, in_force, writing_log
 from m100link.errors import M100Error, UsageError
 from m100link.errors.texts import read_json
+from m100link.link.url import parse_replay
 
 START_TIMEOUT = 60.0  # seconds in which a child has to run: a small computer imports slowly
 
@@ -30,6 +33,8 @@ RESTART_PAUSES = (0.5, 1.0, 2.0, 5.0, 10.0)
 """Seconds before a child that ended is started again; one that ran begins anew."""
 
 END_TIMEOUT = 5.0  # seconds that a child has to end in order
+
+FRONT_NICENESS = 5  # a third of the agent's share of a busy processor: it still serves
 
 
 class ChildProcess:
@@ -48,7 +53,7 @@ class ChildProcess:
         self._role = role
         self._called = called
         self.request = request
-        self._note = note
+        self.note = note
         self._inherited, self._loads = inherited, loads
         self._waiting: asyncio.subprocess.Process | None = None  # for its request
         self._process: asyncio.subprocess.Process | None = None
@@ -127,6 +132,8 @@ class ChildProcess:
                 remedy="read its output above; try --single-process, which shows more",
             ) from None
         if "fault" in answer:
+            from m100link.apps.agent.messages import RemoteError  # a child begins before it
+
             raise RemoteError(**answer["fault"]).error()
         self.answer = answer
 
@@ -137,17 +144,17 @@ class ChildProcess:
             if self._process is not None:
                 code = await self._process.wait()
                 how = signal.Signals(-code).name if code < 0 else f"status {code}"
-                self._note(f"{self._called} ended ({how}), to be started again", "error")
+                self.note(f"{self._called} ended ({how}), to be started again", "error")
                 self._process = None
             await asyncio.sleep(RESTART_PAUSES[min(failures, len(RESTART_PAUSES) - 1)])
             try:
                 await self.start()
             except Exception as error:  # noqa: BLE001 (noted): no memory, or no thread to wait for it
                 failures += 1
-                self._note(f"{self._called}: not started: {error}", "error")
+                self.note(f"{self._called}: not started: {error}", "error")
             else:
                 failures = 0
-                self._note(f"{self._called}: serving again", "info")
+                self.note(f"{self._called}: serving again", "info")
                 for callback in self.on_restart:
                     callback()
 
@@ -193,6 +200,80 @@ async def supervised(
         await asyncio.gather(*(one.end(timeout) for one in children))
 
 
+# -- the process of the fronts ---------------------------------------------------------------------
+
+_NOT_FOR_FRONTS = ("url", "key", "key_file", "app_id", "token_file", "origins", "unused")
+
+
+def front_settings(settings: Settings) -> dict[str, Any]:
+    """The settings for the fronts, as JSON takes it: nothing of the app and its key.
+
+    Raises ``UsageError``: the token cannot be one.
+    """
+    given = {
+        one.name: getattr(settings, one.name)
+        for one in fields(settings)
+        if one.name not in _NOT_FOR_FRONTS
+    }
+    given["token"] = settings.access_token()
+    if not (settings.mavlink or settings.mavlink_to):  # they alone give logs away
+        given["record"] = None
+    return as_json(given)
+
+
+def as_json(given: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings by name, as JSON takes them and :mod:`m100link.apps.station.config` reads them."""
+    return {
+        name: str(value) if isinstance(value, Path) else value
+        for name, value in given.items()
+        if value is not None
+    }
+
+
+@asynccontextmanager
+async def beginning_fronts(
+    aircraft: Mapping[str, Settings],  # the first has those of access and of services
+    *,
+    with_console: bool = False,
+    with_rosbridge: bool = True,
+) -> AsyncIterator[tuple[Sockets, ChildProcess]]:
+    """Open the sockets, and let the process of the fronts load while agents do, and connect.
+
+    Raises ``UsageError, PortBusy, PortFailed``: something in the settings cannot be, or a port is
+    taken.
+    """
+    if not 1 <= len(aircraft) <= MOST_AIRCRAFT:
+        raise UsageError(
+            f"{len(aircraft)} aircraft are too many for one station",
+            remedy=f"one station has at most {MOST_AIRCRAFT}: start another one beside it",
+        )
+    settings = next(iter(aircraft.values()))
+    request: dict[str, Any] = {"settings": front_settings(settings)}
+    if settings.ros2 and len(aircraft) > 1:
+        FRONTS["ros2"].load().check_ros2(settings, list(aircraft))  # all before anything is bound
+    recordings = [
+        (str(parse_replay(one.url).path.absolute()), one.firmware or "")
+        for one in aircraft.values()
+        if one.url is not None and one.is_replay and with_console
+    ]
+    async with AsyncExitStack() as stack:
+        sockets = open_sockets(
+            stack, settings, with_console=with_console, with_rosbridge=with_rosbridge
+        )
+        descriptors = request["sockets"] = sockets.descriptors()
+        front = ChildProcess(
+            "fronts",
+            "the fronts",
+            request,
+            lambda *_: None,  # of what happens before there is an agent the block ends
+            inherited=[number for row in descriptors.values() for number in row],
+            loads=(FRONT_NICENESS, list(descriptors), recordings),
+        )
+        stack.push_async_callback(front.end)
+        await front.begin()
+        yield sockets, front
+
+
 # -- the child's side -----------------------------------------------------------------------------
 
 
@@ -213,6 +294,8 @@ def run_child(work: Callable[[dict[str, Any], asyncio.Event], Awaitable[None]]) 
         with writing_log(None if log is None else LogOutput(**log)):
             asyncio.run(run())
     except M100Error as error:
+        from m100link.apps.agent.messages import RemoteError
+
         answer(fault=asdict(RemoteError.of(error)))
         return 1
     return 0

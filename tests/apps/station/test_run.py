@@ -22,10 +22,10 @@ from m100link.apps.station.run import (
     RunningMultiVehicle,
     RunningTwoProcess,
     agent_settings,
-    front_settings,
     running_apart,
     running_several,
 )
+from m100link.apps.station.supervisor import front_settings
 from m100link.errors import M100Error, UsageError
 from m100link.log import read
 from tests.apps.agent.conftest import task_of
@@ -229,14 +229,9 @@ async def test_a_virtual_aircraft_takes_orders_where_there_is_a_console_to_give_
     with_console: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     front = MagicMock(request={})
-
-    async def handed(*_: Any) -> MagicMock:
-        return front
-
-    monkeypatch.setattr(run, "_front_process", handed)
     monkeypatch.setattr(run, "supervised", lambda _: nullcontext())
     settings = Settings(sim=True, port=0, console_port=0)
-    async with running_apart(settings, with_console=with_console):
+    async with running_apart(settings, with_console=with_console, begun=(MagicMock(), front)):
         assert list(front.request["orders"]) == (["m100"] if with_console else [])
 
 
@@ -394,7 +389,9 @@ async def test_agents_end_in_order_when_their_starter_is_killed(tmp_path: Path) 
     assert len(sockets) == 2
     async with connect(report["rosbridge"][0]) as client:
         pilot = NamedPilot(client, "/second")
-        assert (await pilot.call("/second/dji_sdk/query_drone_version"))["result"] is True
+        async with asyncio.timeout(PATIENCE):  # the fronts may be there before the aircraft
+            while not (await pilot.call("/second/dji_sdk/query_drone_version"))["result"]:  # noqa: ASYNC110 - as below
+                await asyncio.sleep(0.1)
         program.kill()
         await program.wait()
 

@@ -16,8 +16,7 @@ from dataclasses import asdict, fields, replace
 from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, cast
-from unittest.mock import Mock
+from typing import Any
 
 import pytest
 
@@ -237,7 +236,7 @@ def test_each_process_gets_what_it_needs_and_no_secret_of_the_other(tmp_path: Pa
         "tls_key": tmp_path / "k", "pages": tmp_path, "metrics_port": 1, "foxglove_port": 2,
     }  # fmt: skip
     settings = Settings(**every)
-    front, agent = run.front_settings(settings), run.agent_settings(settings)
+    front, agent = supervisor.front_settings(settings), run.agent_settings(settings)
     assert not front.keys() & (SECRETS | {"url", "record", "origins", "unused"})
     assert (front["token"], front["host"]) == ("0123456789abcdefXY", "0.0.0.0")
     assert (front["pages"], front["tls_key"]) == (str(tmp_path), str(tmp_path / "k"))
@@ -248,7 +247,7 @@ def test_each_process_gets_what_it_needs_and_no_secret_of_the_other(tmp_path: Pa
     assert named - AGENTS - {"token_file", "origins", "unused"} >= front.keys() - AGENTS
     assert front.keys() >= {"port", "console_port", "max_clients", "sysid"}
     assert "tiles" not in front
-    mavlink = run.front_settings(replace(settings, mavlink_to=("udp://127.0.0.1:14550",)))
+    mavlink = supervisor.front_settings(replace(settings, mavlink_to=("udp://127.0.0.1:14550",)))
     assert mavlink["record"] == str(tmp_path), "MAVLink programs fetch logs"
 
 
@@ -272,10 +271,11 @@ class Child:
 @pytest.fixture
 def children(monkeypatch: pytest.MonkeyPatch, noted: Noted, tmp_path: Path) -> list[Child]:
     Child.made = []
-    monkeypatch.setattr(run, "ChildProcess", Child)
     monkeypatch.setattr(run, "supervised", noted.context("supervised"))
     sockets = Sockets({"rosbridge": [SimpleNamespace(fileno=lambda: 44)]})  # type: ignore[list-item]
-    monkeypatch.setattr(run, "open_sockets", noted.call("open_sockets", sockets))
+    for module in (run, supervisor):
+        monkeypatch.setattr(module, "ChildProcess", Child)
+        monkeypatch.setattr(module, "open_sockets", noted.call("open_sockets", sockets))
     monkeypatch.setattr(transports, "serve_unix", noted.context("serve_unix"))
 
     async def step(name: str) -> None:
@@ -304,7 +304,7 @@ async def test_the_process_of_the_fronts_of_one_aircraft(
     assert noted.of("open_sockets")[1] == {"with_console": with_console, "with_rosbridge": True}
     [front] = children
     assert (front.role, front.called) == ("fronts", "the fronts")
-    assert front.request["settings"] == run.front_settings(settings)
+    assert front.request["settings"] == supervisor.front_settings(settings)
     assert front.request["sockets"] == {"rosbridge": [44]}
     assert front.how == {"inherited": [44], "loads": (5, ["rosbridge"], [])}
     agents, orders = front.request["agents"], front.request["orders"]
@@ -316,21 +316,17 @@ async def test_the_process_of_the_fronts_of_one_aircraft(
     assert ("orders" in noted.names) is (sim and with_console)
 
 
-async def test_the_fronts_read_recordings_from_the_beginning_on(
-    noted: Noted, children: list[Child], monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_the_fronts_read_recordings_from_the_beginning_on(children: list[Child]) -> None:
     """By file and firmware, where a page shows them, and of aircraft that fly none."""
-    aircraft = (
-        Settings(url="replay:///a/one.mcap?speed=2", firmware="3.1"),
-        Settings(url="replay:///a/two.mcap"),
-        Settings(url=URL),
-    )
+    aircraft = {
+        "a": Settings(url="replay:///a/one.mcap?speed=2", firmware="3.1"),
+        "b": Settings(url="replay:///a/two.mcap"),
+        "c": Settings(url=URL),
+    }
     files = [("/a/one.mcap", "3.1"), ("/a/two.mcap", "")]
-    for name, read in (("console", files), ("rosbridge", [])):
-        sockets = Mock(**{"descriptors.return_value": {name: [44]}})
-        async with AsyncExitStack() as stack:
-            front = await run._front_process(stack, Settings(), sockets, print, aircraft)
-        assert cast("Child", front).how["loads"] == (5, [name], read)
+    for with_console, read in ((True, files), (False, [])):
+        async with supervisor.beginning_fronts(aircraft, with_console=with_console):
+            assert children[-1].how["loads"] == (5, ["rosbridge"], read)
 
 
 @pytest.fixture
@@ -425,7 +421,7 @@ async def test_a_station_has_up_to_eight_aircraft(
     def opened(*_: object, **__: object) -> None:
         raise Enough
 
-    monkeypatch.setattr(run, "open_sockets", opened)
+    monkeypatch.setattr(supervisor, "open_sockets", opened)
     aircraft = {f"a{number}": Settings(sim=True) for number in range(count)}
     with pytest.raises(Enough if is_taken else UsageError):
         async with run.running_several(aircraft):

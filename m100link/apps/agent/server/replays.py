@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 
 from m100link.aircraft import Aircraft
-from m100link.aircraft.replaying import ReplayURL, open_replay, parse_replay
+from m100link.aircraft.replaying import open_replay
 from m100link.apps.agent.messages import Replay
 from m100link.errors import OnlyRecorded, UsageError
-from m100link.log.player import FASTEST, SLOWEST, Begin, Player, ReplayedLink
+from m100link.link.url import FASTEST, SLOWEST, parse_replay
+from m100link.log.player import Begin, Player, ReplayedLink
 from m100link.protocol.firmware import profile
 
 
@@ -60,7 +61,7 @@ class Replays:
         if player is None or self._aircraft is None:
             return None
         return Replay(
-            path=file_of(self._url),
+            path=str(self._url.path.absolute()),
             utc=player.time() + player.utc_offset_s,
             clock=player.time(),
             since=player.run_began_at,
@@ -110,11 +111,6 @@ class Replays:
                 f"a replay does not know {word!r}",
                 remedy="pause, resume, toggle, seek, by, speed, faster, slower",
             )
-
-
-def file_of(url: str | ReplayURL) -> str:
-    """Which file a ``replay://`` URL plays. Raises ``BadURL``: it is none."""
-    return str((parse_replay(url) if isinstance(url, str) else url).path.absolute())
 
 
 def _number(text: str) -> float:
