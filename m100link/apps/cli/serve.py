@@ -150,25 +150,26 @@ async def _running(
     async with contextlib.AsyncExitStack() as stack:
         enter = stack.enter_async_context
         is_apart = len(aircraft) > 1 or not (options.single_process or sys.platform == "win32")
-        begun = await enter(beginning_fronts(aircraft, **served)) if is_apart else None
+        if is_apart:
+            begun = await enter(beginning_fronts(aircraft, **served))
         # Loaded while the other process loads the fronts.
         from m100link.apps.agent.messages import JOURNAL_LOG
         from m100link.apps.station.run import running, running_apart, running_several
 
         tell_elsewhere(JOURNAL_LOG)
         if len(aircraft) > 1:
-            several = await enter(running_several(aircraft, **served, begun=begun, tell=tell))
+            several = await enter(running_several(aircraft, begun, tell=tell))
             yield several, several.front
             return
         ((name, settings),) = aircraft.items()
         if sys.platform == "win32" and not (settings.sim or settings.is_replay):
             err.print("[yellow]warning:[/] on Windows one process both flies and serves clients")
-        run: Any = partial(running_apart, begun=begun) if is_apart else running
-        one = await enter(run(settings, **served))
+        run: Any = running_apart(settings, begun) if is_apart else running(settings, **served)
+        one = await enter(run)
         for event in one.agent.journal.events:
             tell(name, event)
         one.agent.journal.on_event.append(partial(tell, name))
-        yield one, one.front if is_apart else None
+        yield one, getattr(one, "front", None)
 
 
 def tell_event(

@@ -31,7 +31,7 @@ from m100link.apps.station.listeners import (
     open_sockets,
     serving_fronts,
 )
-from m100link.apps.station.supervisor import ChildProcess, as_json, beginning_fronts, supervised
+from m100link.apps.station.supervisor import BegunFronts, ChildProcess, as_json, supervised
 from m100link.errors import UsageError
 from m100link.geodesy import LocalFrame
 from m100link.log.folder import Flights, default_folder
@@ -241,24 +241,11 @@ def _reached(agents: Mapping[str, Path], orders: Mapping[str, Path]) -> dict[str
 
 @asynccontextmanager
 async def running_apart(
-    settings: Settings,
-    *,
-    with_console: bool = False,
-    with_rosbridge: bool = True,
-    virtual: VirtualAircraft | None = None,
-    begun: tuple[Sockets, ChildProcess] | None = None,  # by `beginning_fronts`
+    settings: Settings, fronts: BegunFronts, *, virtual: VirtualAircraft | None = None
 ) -> AsyncIterator[RunningTwoProcess]:
-    """Run a station while the block runs, with its fronts in a process of their own.
-
-    Raises ``UsageError, PortBusy, PortFailed``: something in the settings cannot be, or a port is
-    taken.
-    """
-    served = {"with_console": with_console, "with_rosbridge": with_rosbridge}
+    """Run a station while the block runs; ``UsageError``: something in the settings cannot be."""
+    sockets, front = fronts
     async with AsyncExitStack() as stack:
-        if begun is None:
-            here = {ONLY_NAME: settings}
-            begun = await stack.enter_async_context(beginning_fronts(here, **served))
-        sockets, front = begun
         directory = stack.enter_context(transports.private_directory())
 
         def note(text: str, level: str) -> None:
@@ -269,7 +256,7 @@ async def running_apart(
         agent_path = directory / "agent.sock"
         await stack.enter_async_context(transports.serve_unix(agent_path, owner.service.attach))
         orders = {}
-        if owner.virtual is not None and with_console:
+        if owner.virtual is not None and "console" in sockets.of:
             orders[ONLY_NAME] = directory / "orders.sock"
             server = CtlServer([owner.virtual], orders[ONLY_NAME])
             await server.start()
@@ -312,22 +299,13 @@ def agent_settings(settings: Settings) -> dict[str, Any]:
 @asynccontextmanager
 async def running_several(
     aircraft: Mapping[str, Settings],
+    fronts: BegunFronts,
     *,
-    with_console: bool = False,
-    with_rosbridge: bool = True,
-    begun: tuple[Sockets, ChildProcess] | None = None,  # by `beginning_fronts`
     tell: Tell = lambda *_: None,  # called with the name of an aircraft and each of its events
 ) -> AsyncIterator[RunningMultiVehicle]:
-    """Run a station while the block runs.
-
-    Raises ``UsageError, PortBusy, PortFailed``: something in the settings cannot be, or a port is
-    taken.
-    """
-    served = {"with_console": with_console, "with_rosbridge": with_rosbridge}
+    """Run a station while the block runs; ``UsageError``: something in the settings cannot be."""
+    sockets, front = fronts
     async with AsyncExitStack() as stack:
-        if begun is None:
-            begun = await stack.enter_async_context(beginning_fronts(aircraft, **served))
-        sockets, front = begun
         directory = stack.enter_context(transports.private_directory())
         agents: dict[str, AgentClient] = {}
 
@@ -362,7 +340,7 @@ async def running_several(
             for place, name in enumerate(aircraft)
             if owners[name].answer["is_virtual"]
         }
-        front.request |= _reached(paths, virtual if with_console else {})
+        front.request |= _reached(paths, virtual if "console" in sockets.of else {})
         await stack.enter_async_context(supervised(front))
         yield RunningMultiVehicle(owners, agents, front, sockets)
 

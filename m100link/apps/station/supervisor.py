@@ -202,6 +202,8 @@ async def supervised(
 
 # -- the process of the fronts ---------------------------------------------------------------------
 
+BegunFronts = tuple[Sockets, ChildProcess]
+
 _NOT_FOR_FRONTS = ("url", "key", "key_file", "app_id", "token_file", "origins", "unused")
 
 
@@ -236,7 +238,7 @@ async def beginning_fronts(
     *,
     with_console: bool = False,
     with_rosbridge: bool = True,
-) -> AsyncIterator[tuple[Sockets, ChildProcess]]:
+) -> AsyncIterator[BegunFronts]:
     """Open the sockets, and let the process of the fronts load while agents do, and connect.
 
     Raises ``UsageError, PortBusy, PortFailed``: something in the settings cannot be, or a port is

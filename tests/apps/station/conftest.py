@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import AsyncExitStack, asynccontextmanager
 from typing import Any
 
@@ -16,11 +16,14 @@ from m100link.apps.agent.server.agent import Agent
 from m100link.apps.agent.server.connection import by_driver
 from m100link.apps.agent.server.server import AgentServer
 from m100link.apps.agent.transports import memory_channels
+from m100link.apps.station import run, supervisor
+from m100link.apps.station.config import ONLY_NAME, Settings
 from m100link.apps.station.ros.client import Client
 from m100link.apps.station.ros.dji_sdk import DjiSdk
 from m100link.apps.station.ros.graph import Graph, add_rosapi, add_rosout
 from m100link.apps.station.ros.leases import Clients
 from m100link.apps.station.ros.node_2015 import Node2015
+from m100link.apps.station.run import RunningMultiVehicle, RunningTwoProcess
 from m100link.sim.clock import virtual_clock_loop
 from m100link.sim.ports.driver import Driver
 from m100link.sim.virtual import VirtualAircraft
@@ -149,3 +152,25 @@ class Rig:
 async def rig() -> AsyncIterator[Rig]:
     async with AsyncExitStack() as stack:
         yield await stack.enter_async_context(Rig(VirtualAircraft(seed=5)).running())
+
+
+@asynccontextmanager
+async def apart(settings: Settings, **served: bool) -> AsyncIterator[RunningTwoProcess]:
+    """A station in two processes, as a command begins it."""
+    async with (
+        supervisor.beginning_fronts({ONLY_NAME: settings}, **served) as fronts,
+        run.running_apart(settings, fronts) as one,
+    ):
+        yield one
+
+
+@asynccontextmanager
+async def several(
+    aircraft: Mapping[str, Settings], tell: run.Tell = lambda *_: None, **served: bool
+) -> AsyncIterator[RunningMultiVehicle]:
+    """A station of several aircraft, as a command begins it."""
+    async with (
+        supervisor.beginning_fronts(aircraft, **served) as fronts,
+        run.running_several(aircraft, fronts, tell=tell) as one,
+    ):
+        yield one

@@ -18,17 +18,18 @@ from websockets.asyncio.client import ClientConnection
 
 from m100link.apps.station import run, supervisor
 from m100link.apps.station.config import Settings, resolve
+from m100link.apps.station.listeners import Sockets
 from m100link.apps.station.run import (
     RunningMultiVehicle,
     RunningTwoProcess,
     agent_settings,
     running_apart,
-    running_several,
 )
 from m100link.apps.station.supervisor import front_settings
 from m100link.errors import M100Error, UsageError
 from m100link.log import read
 from tests.apps.agent.conftest import task_of
+from tests.apps.station.conftest import apart, several
 from tests.sockets import connect
 from tests.waiting import PATIENCE, until
 
@@ -87,7 +88,7 @@ async def flying(
     """A station in two processes whose aircraft flies to the east."""
     async with AsyncExitStack() as stack:
         settings = Settings(sim=True, port=0, console_port=0, **more)
-        one = await stack.enter_async_context(running_apart(settings, with_console=with_console))
+        one = await stack.enter_async_context(apart(settings, with_console=with_console))
         client = await stack.enter_async_context(
             connect(f"ws://127.0.0.1:{one.sockets.port('rosbridge')}")
         )
@@ -113,7 +114,7 @@ async def test_fronts_run_lower_and_know_nothing_of_the_app() -> None:
     told = json.loads(json.dumps(front_settings(settings)))
     assert not {"key", "key_file", "app_id", "url"} & set(told)
     assert resolve(told, {}).port == 0
-    async with running_apart(settings) as one:
+    async with apart(settings) as one:
         assert one.front.pid is not None
         ours = os.getpriority(os.PRIO_PROCESS, 0)
         theirs = os.getpriority(os.PRIO_PROCESS, one.front.pid)
@@ -182,7 +183,7 @@ async def test_the_end_gives_authority_back_before_it_waits_for_a_front_that_han
 ) -> None:
     monkeypatch.setattr(supervisor, "END_TIMEOUT", 0.5)
     was_running: list[bool] = []
-    async with AsyncExitStack() as stack, running_apart(Settings(sim=True, port=0)) as one:
+    async with AsyncExitStack() as stack, apart(Settings(sim=True, port=0)) as one:
         address = f"ws://127.0.0.1:{one.sockets.port('rosbridge')}"
         client = await stack.enter_async_context(connect(address, close_timeout=0.1))
         await Pilot(client).take_off()
@@ -214,7 +215,7 @@ async def test_an_agent_that_is_killed_is_reported_by_its_front_and_its_port_is_
 
         async def is_served_anew() -> bool:
             try:
-                async with running_apart(Settings(sim=True, port=port)) as one:
+                async with apart(Settings(sim=True, port=port)) as one:
                     return one.sockets.ports("rosbridge") == [port]
             except M100Error:
                 return False
@@ -231,7 +232,8 @@ async def test_a_virtual_aircraft_takes_orders_where_there_is_a_console_to_give_
     front = MagicMock(request={})
     monkeypatch.setattr(run, "supervised", lambda _: nullcontext())
     settings = Settings(sim=True, port=0, console_port=0)
-    async with running_apart(settings, with_console=with_console, begun=(MagicMock(), front)):
+    sockets = Sockets({"console": []} if with_console else {})
+    async with running_apart(settings, (sockets, front)):
         assert list(front.request["orders"]) == (["m100"] if with_console else [])
 
 
@@ -241,7 +243,7 @@ def files_in(folder: Path) -> list[Path]:
 
 async def test_what_it_is_ordered_to_record_is_recorded_and_reported(tmp_path: Path) -> None:
     settings = Settings(sim=True, port=0, record=tmp_path)
-    async with running_apart(settings) as station:
+    async with apart(settings) as station:
         connection = station.agent.connection
         await until(lambda: connection.aircraft is not None)
         texts = [event.text for event in station.agent.journal.events]
@@ -253,7 +255,7 @@ async def test_what_it_is_ordered_to_record_is_recorded_and_reported(tmp_path: P
 
 async def test_mistakes_in_what_is_served_are_reported_as_ever(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="is not a folder"):
-        async with running_apart(Settings(sim=True, port=0, pages=tmp_path / "none")):
+        async with apart(Settings(sim=True, port=0, pages=tmp_path / "none")):
             pass
 
 
@@ -316,9 +318,7 @@ async def two() -> AsyncIterator[tuple[RunningMultiVehicle, list[str]]]:
     told: list[str] = []
     settings = Settings(sim=True, port=0)
     aircraft = {"m100_1": settings, "m100_2": settings}
-    async with running_several(
-        aircraft, tell=lambda name, e: told.append(f"{name}: {e.text}")
-    ) as s:
+    async with several(aircraft, tell=lambda name, e: told.append(f"{name}: {e.text}")) as s:
         yield s, told
 
 
@@ -389,9 +389,7 @@ async def test_agents_end_in_order_when_their_starter_is_killed(tmp_path: Path) 
     assert len(sockets) == 2
     async with connect(report["rosbridge"][0]) as client:
         pilot = NamedPilot(client, "/second")
-        async with asyncio.timeout(PATIENCE):  # the fronts may be there before the aircraft
-            while not (await pilot.call("/second/dji_sdk/query_drone_version"))["result"]:  # noqa: ASYNC110 - as below
-                await asyncio.sleep(0.1)
+        assert (await pilot.call("/second/dji_sdk/query_drone_version"))["result"] is True
         program.kill()
         await program.wait()
 
@@ -420,12 +418,12 @@ def test_agents_know_nothing_of_who_may_connect() -> None:
 
 async def test_more_aircraft_than_anybody_watches_are_refused() -> None:
     with pytest.raises(UsageError, match="at most 8"):
-        async with running_several({f"a{n}": Settings(sim=True) for n in range(9)}):
+        async with several({f"a{n}": Settings(sim=True) for n in range(9)}):
             pass
 
 
 async def test_a_mistake_in_one_of_them_is_reported_as_it_is(tmp_path: Path) -> None:
     wrong = Settings(url="/dev/x", app_id=7, key_file=tmp_path / "none")
     with pytest.raises(UsageError, match="none"):
-        async with running_several({"a": Settings(sim=True, port=0), "b": wrong}):
+        async with several({"a": Settings(sim=True, port=0), "b": wrong}):
             pass

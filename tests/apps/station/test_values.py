@@ -32,6 +32,7 @@ from m100link.sim.vehicle.activation import DEMO_APP_ID, DEMO_KEY
 from m100link.sim.vehicle.settings import AircraftSettings
 from m100link.wire import Key
 from tests import limits
+from tests.apps.station.conftest import apart, several
 
 pytestmark = pytest.mark.anyio
 
@@ -272,10 +273,15 @@ class Child:
 def children(monkeypatch: pytest.MonkeyPatch, noted: Noted, tmp_path: Path) -> list[Child]:
     Child.made = []
     monkeypatch.setattr(run, "supervised", noted.context("supervised"))
-    sockets = Sockets({"rosbridge": [SimpleNamespace(fileno=lambda: 44)]})  # type: ignore[list-item]
+
+    def opened(*values: Any, with_console: bool = False, **served: bool) -> Sockets:
+        noted.append(("open_sockets", values, {"with_console": with_console, **served}))
+        one: Any = SimpleNamespace(fileno=lambda: 44)
+        return Sockets({"rosbridge": [one]} | ({"console": []} if with_console else {}))
+
+    monkeypatch.setattr(supervisor, "open_sockets", opened)
     for module in (run, supervisor):
         monkeypatch.setattr(module, "ChildProcess", Child)
-        monkeypatch.setattr(module, "open_sockets", noted.call("open_sockets", sockets))
     monkeypatch.setattr(transports, "serve_unix", noted.context("serve_unix"))
 
     async def step(name: str) -> None:
@@ -298,15 +304,16 @@ async def test_the_process_of_the_fronts_of_one_aircraft(
 ) -> None:
     """A page gives orders to a virtual aircraft, and nothing else does."""
     settings = Settings(sim=True) if sim else Settings(url=URL)
-    async with run.running_apart(settings, with_console=with_console) as one:
+    async with apart(settings, with_console=with_console) as one:
         assert one.console_path() == "/?code=1"
         assert one.has_authority is True
     assert noted.of("open_sockets")[1] == {"with_console": with_console, "with_rosbridge": True}
     [front] = children
     assert (front.role, front.called) == ("fronts", "the fronts")
     assert front.request["settings"] == supervisor.front_settings(settings)
-    assert front.request["sockets"] == {"rosbridge": [44]}
-    assert front.how == {"inherited": [44], "loads": (5, ["rosbridge"], [])}
+    sockets = {"rosbridge": [44]} | ({"console": []} if with_console else {})
+    assert front.request["sockets"] == sockets
+    assert front.how == {"inherited": [44], "loads": (5, list(sockets), [])}
     agents, orders = front.request["agents"], front.request["orders"]
     assert [Path(one).name for one in agents.values()] == ["agent.sock"]
     assert agents.keys() == {ONLY_NAME}
@@ -326,7 +333,7 @@ async def test_the_fronts_read_recordings_from_the_beginning_on(children: list[C
     files = [("/a/one.mcap", "3.1"), ("/a/two.mcap", "")]
     for with_console, read in ((True, files), (False, [])):
         async with supervisor.beginning_fronts(aircraft, with_console=with_console):
-            assert children[-1].how["loads"] == (5, ["rosbridge"], read)
+            assert children[-1].how["loads"][2] == read
 
 
 @pytest.fixture
@@ -372,7 +379,7 @@ async def test_the_processes_of_several_aircraft(
         assert (event.number, event.at) == (0, asyncio.get_running_loop().time())
         told.append((name, event.text, event.level))
 
-    async with run.running_several(aircraft, with_console=with_console, tell=tell) as one:
+    async with several(aircraft, with_console=with_console, tell=tell) as one:
         left, right, front = sorted(children, key=lambda one: (one.role, one.called))
         assert [(c.role, c.called) for c in (left, right, front)] == [
             ("agent", "the agent of left"),
@@ -424,7 +431,7 @@ async def test_a_station_has_up_to_eight_aircraft(
     monkeypatch.setattr(supervisor, "open_sockets", opened)
     aircraft = {f"a{number}": Settings(sim=True) for number in range(count)}
     with pytest.raises(Enough if is_taken else UsageError):
-        async with run.running_several(aircraft):
+        async with several(aircraft):
             pass
 
 
@@ -433,7 +440,7 @@ async def test_nodes_that_cannot_be_are_refused_before_anything_is_opened(
 ) -> None:
     aircraft = {name: Settings(sim=True, ros2=True, ros2_domain=233) for name in "ab"}
     with pytest.raises(UsageError, match="there is no domain 233"):
-        async with run.running_several(aircraft):
+        async with several(aircraft):
             pass
     assert noted.names == []
 

@@ -434,7 +434,7 @@ def _read(text: str | bytes) -> dict[str, Any] | None:
 
 
 def _worded(error: M100Error) -> str:
-    """What it says but for its numbers, which are others with each beat."""
+    """Its text but for the numbers, which are others with each beat."""
     return re.sub(r"[\d.]+", "", error.seen)
 
 
