@@ -45,6 +45,8 @@ _logger = logging.getLogger(__name__)
 
 MOST_UNWRITTEN = 200
 
+_AT_ONCE, _MOMENT_S = ("sim:", "replay:"), 2.0
+
 
 _RARE = Parameter(group=panel("Rarely needed"))
 
@@ -95,6 +97,7 @@ async def run_station(
         tell = partial(tell_event, teller, options.log, is_named=len(aircraft) > 1)
         async with _running(aircraft, options, served, tell) as (station, front):
             announce = partial(_announce, aircraft, station, as_json=options.json_output)
+            await _are_there(aircraft, station)
             announce()
             leave_what_stays()
             settings = next(iter(aircraft.values()))
@@ -170,6 +173,23 @@ async def _running(
             tell(name, event)
         one.agent.journal.on_event.append(partial(tell, name))
         yield one, getattr(one, "front", None)
+
+
+async def _are_there(aircraft: dict[str, Settings], station: Any) -> None:
+    """Wait for virtual aircraft and recordings: a program flies as soon as it reads the address."""
+    if not all(one.sim or str(one.url).startswith(_AT_ONCE) for one in aircraft.values()):
+        return
+    agents = getattr(station, "agents", {})
+
+    def are_there() -> bool:
+        if agents:
+            return all(one.is_connected for one in agents.values())
+        return station.agent.connection.aircraft is not None
+
+    with contextlib.suppress(TimeoutError):
+        async with asyncio.timeout(_MOMENT_S):
+            while not are_there():  # noqa: ASYNC110 - agents of two kinds, and neither has an event
+                await asyncio.sleep(0.01)
 
 
 def tell_event(
