@@ -301,6 +301,15 @@ def test_a_verb_for_a_port_does_not_load_the_virtual_aircraft() -> None:
     assert "m100link.sim" not in loaded
 
 
+def test_the_process_of_the_page_loads_neither_what_flies_nor_what_no_page_uses() -> None:
+    pytest.importorskip("nicegui")
+    loaded = loaded_by("import m100link.apps.station.process as it; it._load(0, ['console'], [])")
+    assert "m100link.apps.station.console.app" in loaded
+    # Of rosbridge, of virtual aircraft, of agents, of a client of engineio.
+    assert not loaded & {"m100link.apps.station.web.server", "m100link.sim", "aiohttp.client"}
+    assert not loaded & {"m100link.apps.agent.server", "m100link.flight.control", "urllib3"}
+
+
 def test_decoding_a_frame_loads_neither_an_event_loop_nor_an_aircraft_nor_a_console() -> None:
     asked = (
         "import sys; sys.argv = ['m100link', 'decode', 'aa']\nfrom m100link.apps.cli import main"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import importlib
 import os
 import signal
@@ -13,6 +14,7 @@ def main() -> None:
 
     Loading takes up to seconds on a busy machine: Ctrl-C in that time ends it with a line.
     """
+    gc.disable()  # what is loaded stays: walking through it again and again takes a tenth
     is_ours = signal.getsignal(signal.SIGINT) is signal.default_int_handler
     if is_ours:  # and not ignored, as in the background of a script
         signal.signal(signal.SIGINT, end_at_once)
@@ -27,6 +29,8 @@ def main() -> None:
         raise SystemExit(2) from None
     from m100link.apps.cli.app import run
 
+    gc.freeze()
+    gc.enable()
     run()
 
 

@@ -15,6 +15,7 @@ while, and ends. It loads nothing that could own an aircraft.
 from __future__ import annotations
 
 import asyncio
+import gc
 import os
 import sys
 from collections.abc import Sequence
@@ -32,7 +33,6 @@ from m100link.apps.station.log_output import log_of, tell_elsewhere
 from m100link.apps.station.supervisor import answer, end_with_parent, leave_what_stays, run_child
 from m100link.errors import UsageError
 from m100link.errors.texts import read_json
-from m100link.sim.orders import orders_by_socket
 
 LEASES_PER_START = 1_000_000
 """Numbers of leases that one process may use: the lease of one that died never fits another."""
@@ -88,7 +88,11 @@ async def _serve(request: dict[str, Any], ended: asyncio.Event) -> None:
     settings = resolve(request["settings"], {})
     sockets = Sockets.inherited(request["sockets"])
     reach = {name: partial(connect_unix, Path(path)) for name, path in request["agents"].items()}
-    orders = {name: await orders_by_socket(Path(path)) for name, path in request["orders"].items()}
+    orders = {}
+    if request["orders"]:
+        from m100link.sim.orders import orders_by_socket  # loads a virtual aircraft, too
+
+        orders = {name: await orders_by_socket(Path(at)) for name, at in request["orders"].items()}
     parent_ended = asyncio.Event()
     end_with_parent(parent_ended)
     async with serving_fronts(settings, sockets, reach, orders) as fronts:
@@ -115,14 +119,22 @@ def _load(niceness: int, fronts: Sequence[str], recordings: Sequence[Sequence[st
     ``recordings``: files of a replay, and the firmware profile of each, or empty.
     """
     os.nice(niceness)
+    if "console" in fronts:
+        # A fifth of the time: what engineio's client needs, and the models of FastAPI's own pages.
+        # Nobody in this process uses either.
+        sys.modules.update(dict.fromkeys(("aiohttp", "requests")))  # type: ignore[arg-type] # none
+        with suppress(ImportError):  # the front says it
+            import_module("pydantic").BaseModel.model_config["defer_build"] = True
     with suppress(UsageError):  # the front that serves says it
         for path, firmware in recordings:
             import_module("m100link.apps.station.console.kept").begin_analysis(path, firmware)
         for name in fronts:
             FRONTS[name].load()
+    gc.freeze()  # NiceGUI searches all that the collector walks through for its server
 
 
 if __name__ == "__main__":
+    gc.disable()  # until it serves: what is loaded stays, and walking through it takes a fifth
     role, *loads = sys.argv[1:]
     if loads:
         _load(*read_json(loads[0].encode()))

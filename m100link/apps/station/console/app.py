@@ -29,11 +29,11 @@ from m100link.apps.station.web.access_control import AccessControl
 from m100link.apps.station.web.limits import PageRateLimit
 from m100link.apps.station.web.protocol import serve_http
 from m100link.apps.station.web.tiles import MapTiles
-from m100link.sim.orders import SimulatorOrders
 
 if TYPE_CHECKING:
     from m100link.apps.agent.client import AgentClient
     from m100link.apps.station.config import Settings
+    from m100link.sim.orders import SimulatorOrders
 
 
 # A keyboard on the screen makes the page smaller; the bar with STOP stays above it.

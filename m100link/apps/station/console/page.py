@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from nicegui import ui
 from starlette.responses import FileResponse, Response
@@ -54,7 +55,9 @@ from m100link.apps.station.console.view.situation import Inputs, RecordedFlight,
 from m100link.apps.station.console.view.texts import for_browser
 from m100link.apps.station.console.view.view_model import Memory, ViewModel, view_of
 from m100link.apps.station.web.tiles import MapTiles
-from m100link.sim.orders import SimulatorOrders
+
+if TYPE_CHECKING:
+    from m100link.sim.orders import SimulatorOrders
 
 STATIC = Path(__file__).parent / "static"
 

@@ -432,9 +432,6 @@ async def _serving(server: Server, sockets: list[socket.socket]) -> AsyncIterato
             one.close()
 
 
-# -- what both ends of a socket say ----------------------------------------------------------------
-
-
 async def frames_of(websocket: WebSocket) -> AsyncIterator[str | bytes]:
     """The frames that a client sends, until it leaves."""
     while True:

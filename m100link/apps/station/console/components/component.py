@@ -7,7 +7,7 @@ import time
 from collections.abc import Awaitable, Callable, Mapping, Set
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from nicegui import events, ui
 from nicegui.events import GenericEventArguments
@@ -30,7 +30,9 @@ from m100link.apps.station.console.view.view_model import Memory, ViewModel
 from m100link.apps.station.web.tiles import MapTiles
 from m100link.errors import GuardRefused, UsageError
 from m100link.protocol.records import Position
-from m100link.sim.orders import SimulatorOrders
+
+if TYPE_CHECKING:
+    from m100link.sim.orders import SimulatorOrders
 
 # -- the texts of a page, also when its language changes -------------------------------------------
 

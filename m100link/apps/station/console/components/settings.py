@@ -6,7 +6,7 @@ import json
 from collections.abc import Awaitable, Callable
 from dataclasses import replace
 from enum import Enum
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from nicegui import ui
 from nicegui.events import ValueChangeEventArguments
@@ -16,7 +16,9 @@ from m100link.apps.station.console.view import texts
 from m100link.apps.station.console.view.view_model import ViewModel
 from m100link.errors import M100Error
 from m100link.protocol.records import RcMode
-from m100link.sim.orders import SimulatorOrders
+
+if TYPE_CHECKING:
+    from m100link.sim.orders import SimulatorOrders
 
 # -- settings, which the browser keeps -------------------------------------------------------------
 
