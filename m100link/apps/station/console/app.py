@@ -9,12 +9,14 @@ import base64
 import hashlib
 import re
 from collections.abc import Iterable, Mapping
+from functools import partial
 from typing import TYPE_CHECKING
 
 from fastapi import FastAPI
 from nicegui import Client, core, ui
 from nicegui import app as nicegui_app
 from starlette.datastructures import Headers, MutableHeaders
+from starlette.middleware.gzip import GZipMiddleware
 from starlette.requests import Request
 from starlette.responses import PlainTextResponse, Response
 from starlette.routing import Route, WebSocketRoute
@@ -107,7 +109,15 @@ def console_app(
     origins = sorted({video.origin for video in videos.values()})
     nicegui_app.add_middleware(Policy, videos=origins)  # it reads a page: before what compresses it
     ui.run_with(
-        app, title="m100link", dark=None, show_welcome_message=False, reconnect_timeout=_RECONNECT_S
+        app,
+        title="m100link",
+        dark=None,
+        show_welcome_message=False,
+        reconnect_timeout=_RECONNECT_S,
+        # It would make styles in the browser, at each page; console.css has the few that are used.
+        tailwind=False,
+        # The strongest takes three times as long for 4 % less.
+        gzip_middleware_factory=partial(GZipMiddleware, compresslevel=4),
     )
     return settings.gate(PageRateLimit(app, "/"))
 
