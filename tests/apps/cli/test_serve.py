@@ -37,6 +37,7 @@ from m100link.apps.station.listeners import FRONTS, Sockets
 from m100link.apps.station.log_output import FlightProgress
 from m100link.apps.station.run import RunningStation
 from m100link.errors import M100Error
+from m100link.sim.clock import virtual_clock_loop
 from tests.apps.cli.conftest import CommandLine
 from tests.apps.station.test_run import Pilot
 from tests.sockets import connect
@@ -536,7 +537,8 @@ async def test_the_end_says_that_control_goes_back_where_there_is_some(
     async def played(*_: object) -> AsyncIterator[tuple[RunningStation, None]]:
         task = None if has_authority else "land"
         agent: Any = SimpleNamespace(
-            holding=SimpleNamespace(has_authority=has_authority, task=task)
+            holding=SimpleNamespace(has_authority=has_authority, task=task),
+            connection=SimpleNamespace(aircraft="it is there"),
         )
         fronts: Any = SimpleNamespace(console_path=None)
         yield RunningStation(agent, None, fronts, Sockets({})), None
@@ -552,3 +554,37 @@ async def test_the_end_says_that_control_goes_back_where_there_is_some(
     await serve.run_station({"one": Settings(sim=True)}, serve.AS_USUAL, keys=at_once)
     end = "ending: control authority goes back; a flying aircraft hovers"
     assert capsys.readouterr().err.splitlines()[-1] == (end if has_authority else "ending")
+
+
+VIRTUAL, RECORDED = Settings(sim=True), Settings(url="replay:///a.mcap")
+
+
+@pytest.mark.parametrize(
+    ("aircraft", "there_after", "waited"),
+    [
+        ([VIRTUAL], 0.5, 0.5),
+        ([VIRTUAL], 9.0, 2.0),
+        ([Settings(url="sim://?seed=1"), RECORDED], 0.5, 0.5),
+        ([Settings(url="/dev/ttyUSB0")], 0.5, 0.0),
+        ([VIRTUAL, Settings(url="tcp://a:7000")], 0.5, 0.0),
+    ],
+)
+def test_an_address_is_reported_once_virtual_aircraft_are_there(
+    aircraft: list[Settings], there_after: float, waited: float
+) -> None:
+    """Seconds: a program flies as soon as it reads the address; a real aircraft takes its time."""
+    one = SimpleNamespace(is_connected=False, connection=SimpleNamespace(aircraft=None))
+    station = SimpleNamespace(agent=one, **({"agents": {"a": one}} if len(aircraft) > 1 else {}))
+
+    def come() -> None:
+        one.is_connected = one.connection.aircraft = True
+
+    async def wait() -> float:
+        loop = asyncio.get_running_loop()
+        loop.call_later(there_after, come)
+        began = loop.time()
+        await serve._are_there(dict(zip("ab", aircraft, strict=False)), station)
+        return loop.time() - began
+
+    with asyncio.Runner(loop_factory=virtual_clock_loop) as runner:
+        assert runner.run(wait()) == pytest.approx(waited, abs=0.02)
