@@ -307,25 +307,12 @@ _ROOMS = (
 )
 
 # A plan needs no aircraft, and who flies by setpoints needs no plan: its room is not looked into
-# for other names, nor other rooms for these.
-_OF_PLANS = frozenset(
-    (
-        "AtEnd",
-        "GimbalPitch",
-        "Heading",
-        "OnRCLoss",
-        "PlanEstimate",
-        "StartVideo",
-        "Stay",
-        "StopVideo",
-        "TakePhoto",
-        "Trace",
-        "TurnTo",
-        "Waypoint",
-        "WaypointAction",
-        "WaypointPlan",
-    )
-)
+# for other names, nor other rooms for these. To connect loads what it needs when it connects.
+_OF_PLANS = {
+    *("AtEnd", "GimbalPitch", "Heading", "OnRCLoss", "PlanEstimate", "StartVideo", "Stay"),
+    *("StopVideo", "TakePhoto", "Trace", "TurnTo", "Waypoint", "WaypointAction", "WaypointPlan"),
+}
+_OWN_ROOMS = {**dict.fromkeys(_OF_PLANS, ("missions.plan",)), "connect": ("aircraft.connecting",)}
 
 # Rooms for users, not looked into for public names: those of the first are the same again.
 _OTHER_ROOMS = (
@@ -407,9 +394,9 @@ if not TYPE_CHECKING:  # a checker that saw it would take every misspelt name fo
         if any(room.partition(".")[0] == name for room in (*_ROOMS, *_OTHER_ROOMS)):
             return import_module(_now(name))
         if name in __all__:
-            for room in ("missions.plan",) if name in _OF_PLANS else _ROOMS:
+            for room in _OWN_ROOMS.get(name, _ROOMS):
                 module = import_module(f"{__name__}.{room}")
-                if name in module.__all__:
+                if room not in _ROOMS or name in module.__all__:
                     value = globals()[name] = getattr(module, name)
                     return value
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
@@ -417,3 +404,23 @@ if not TYPE_CHECKING:  # a checker that saw it would take every misspelt name fo
 
 def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})
+
+
+def _loads(room: str, *places: str) -> object:
+    """A ``__getattr__`` of a room that loads a public name from these modules when it is asked for.
+
+    Its names are in the first of them that has it.
+    """
+
+    def load(name: str) -> object:
+        from importlib import import_module
+
+        here = vars(sys.modules[room])
+        for place in places if name in here["__all__"] else ():
+            module = import_module(f"{room}.{place}")
+            if hasattr(module, name):
+                here[name] = getattr(module, name)
+                return here[name]
+        raise AttributeError(f"module {room!r} has no attribute {name!r}")
+
+    return load

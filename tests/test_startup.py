@@ -98,14 +98,26 @@ def test_the_names_of_plans_are_those_of_their_room() -> None:
 
 
 def test_connecting_waits_with_what_only_some_connections_need() -> None:
-    loaded = loaded_by("from m100link import connect")
+    loaded = loaded_by("from m100link import connect, Aircraft")
     assert "asyncio" in loaded
     # Keys, plug-in transports, the virtual aircraft and the command line.
     assert not loaded & {"cryptography", "importlib.metadata", "m100link.sim", "rich", "cyclopts"}
 
 
+def test_to_connect_loads_what_it_needs_when_it_connects() -> None:
+    loaded = own("from m100link import connect, Setpoint")
+    assert not {name for name in loaded if name.startswith("m100link.link")}
+    program = (
+        "import asyncio, m100link\n"
+        "async def main():\n"
+        "    async with m100link.connect('sim://') as aircraft: await aircraft.version()\n"
+        "asyncio.run(main())"
+    )
+    assert {"m100link.link", "m100link.sim"} <= own(program)
+
+
 def test_a_program_that_listens_does_not_load_what_flies() -> None:
-    loaded = own("from m100link import connect")
+    loaded = own("from m100link import connect, Aircraft")
     flying = {
         "flight.control",
         "flight.missions.mission_session",
@@ -275,7 +287,8 @@ def test_a_name_that_does_not_exist_is_an_attribute_error_with_its_name() -> Non
 
 
 @pytest.mark.parametrize(
-    "door", ["aircraft", "apps.agent.server.server", "sim", "apps.station.process", "testing"]
+    "door",
+    ["aircraft.aircraft", "apps.agent.server.server", "sim", "apps.station.process", "testing"],
 )
 def test_the_program_behind_each_entry_decides_about_the_log(door: str) -> None:
     statement = f"import m100link.{door}, logging; logging.getLogger('m100link.x').warning('loud')"

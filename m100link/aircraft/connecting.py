@@ -12,17 +12,15 @@ from functools import partial
 from os import PathLike
 from typing import TYPE_CHECKING, Any, NoReturn, Protocol
 
-from m100link.aircraft.aircraft import Aircraft
 from m100link.errors import UsageError
 from m100link.errors.base import of_the_system
-from m100link.link import Direction, Link, Tap, open_link
-from m100link.link.statistics import TapListener
-from m100link.protocol.firmware import FirmwareProfile, profile
-from m100link.protocol.records import AccelerationMode
-from m100link.telemetry.sample import acceleration_mode
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # all that a connection needs is loaded when one is made
+    from m100link.aircraft.aircraft import Aircraft
+    from m100link.link import Direction, Link, Tap
     from m100link.log.channels import Entry
+    from m100link.protocol.firmware import FirmwareProfile
+    from m100link.protocol.records import AccelerationMode
 
 
 # The text of an error may quote its input: an address with its options, a key.
@@ -158,6 +156,11 @@ async def _open(
     acceleration: str | None,
 ) -> Aircraft:
     _require_asyncio()
+    from m100link.aircraft.aircraft import Aircraft
+    from m100link.link import Link, open_link
+    from m100link.protocol.firmware import profile
+    from m100link.telemetry.sample import acceleration_mode
+
     forced = None if firmware is None else profile(firmware)
     mode = acceleration_mode(acceleration)
     if isinstance(line, Link) and (tap is not None or record is not None):
@@ -273,6 +276,8 @@ def _recorder(record: str | PathLike[str] | Recording) -> Recording:
 def _both(tap: Tap | None, recorder: Recording | None) -> Tap | None:
     if tap is None or recorder is None:
         return tap if recorder is None else recorder.tap
+    from m100link.link.statistics import TapListener
+
     write, also = recorder.tap, TapListener(tap)
 
     def hear(direction: Direction, data: bytes, now: float) -> None:

@@ -1,5 +1,7 @@
 """The meaning of the data bytes: command sets, setpoints, telemetry, firmware profiles."""
 
+from typing import TYPE_CHECKING
+
 from m100link.protocol import codes, records
 from m100link.protocol.codes import *  # noqa: F403 (all of its __all__, nothing else)
 from m100link.protocol.command import (
@@ -13,14 +15,6 @@ from m100link.protocol.command import (
     Unrecognised,
     encode_code,
 )
-from m100link.protocol.commands.activation import (
-    Activate,
-    Credentials,
-    GetVersion,
-    SendToMobile,
-    SetTelemetryRates,
-    Version,
-)
 from m100link.protocol.commands.control import (
     Arm,
     Move,
@@ -29,7 +23,6 @@ from m100link.protocol.commands.control import (
     StartTask,
     Task,
 )
-from m100link.protocol.commands.monitor import AuthorityChanged, FromMobile, PushTelemetry
 from m100link.protocol.commands.registry import parse_command
 from m100link.protocol.firmware import PROFILES, FirmwareProfile, profile
 from m100link.protocol.packet import TelemetryPacket, encode_telemetry
@@ -42,6 +35,17 @@ from m100link.protocol.setpoint import (
     Vertical,
     Yaw,
 )
+
+if TYPE_CHECKING:  # a program that makes setpoints needs neither
+    from m100link.protocol.commands.activation import (
+        Activate,
+        Credentials,
+        GetVersion,
+        SendToMobile,
+        SetTelemetryRates,
+        Version,
+    )
+    from m100link.protocol.commands.monitor import AuthorityChanged, FromMobile, PushTelemetry
 
 __all__ = [
     "PROFILES",
@@ -84,3 +88,8 @@ __all__ = [
 
 __all__ += codes.__all__
 __all__ += records.__all__
+
+if not TYPE_CHECKING:  # a checker that saw it would take every misspelt name for a name
+    from m100link import _loads
+
+    __getattr__ = _loads(__name__, "commands.activation", "commands.monitor")

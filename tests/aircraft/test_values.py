@@ -12,7 +12,7 @@ from unittest.mock import AsyncMock, MagicMock, call
 import pytest
 
 from m100link import Aircraft, Credentials, Guards, NotObserved, supervise
-from m100link.aircraft import activation, connecting, replaying, supervising
+from m100link.aircraft import activation, replaying, supervising
 from m100link.aircraft.connecting import connect
 from m100link.aircraft.payload import AircraftGimbal, _not_shown, angles_command, rates_command
 from m100link.aircraft.rates import set_telemetry_rates
@@ -97,8 +97,8 @@ async def test_what_a_connection_opens_and_looks_for(
     link, made = MagicMock(Link), MagicMock(return_value=aircraft())
     link.name = "a link"
     opened = AsyncMock(return_value=link)
-    monkeypatch.setattr(connecting, "open_link", opened)
-    monkeypatch.setattr(connecting, "Aircraft", made)
+    monkeypatch.setattr("m100link.link.open_link", opened)
+    monkeypatch.setattr("m100link.aircraft.aircraft.Aircraft", made)
     tap = None if is_link else MagicMock()
     line: Any = link if is_link else "tcp://here:1"
     await connect(
@@ -119,8 +119,8 @@ async def test_a_connection_is_recorded_and_tapped_at_once_and_ends_its_log(
     recorder = MagicMock(spec=["begin", "tap", "watch", "aclose"], aclose=AsyncMock())
     found._at_end = []
     opened = AsyncMock()
-    monkeypatch.setattr(connecting, "open_link", opened)
-    monkeypatch.setattr(connecting, "Aircraft", MagicMock(return_value=found))
+    monkeypatch.setattr("m100link.link.open_link", opened)
+    monkeypatch.setattr("m100link.aircraft.aircraft.Aircraft", MagicMock(return_value=found))
     await connect("tcp://here:1", record=recorder, tap=tap)
     assert recorder.mock_calls[0] == call.begin()
     opened.call_args.kwargs["tap"]("direction", b"bytes", 1.5)
@@ -415,7 +415,7 @@ async def test_an_aircraft_that_is_not_found_is_closed(monkeypatch: pytest.Monke
     made = aircraft()
     made.aclose = AsyncMock()
     made._requests.find_aircraft.side_effect = AckTimeout("nobody answers")
-    monkeypatch.setattr(connecting, "Aircraft", MagicMock(return_value=made))
+    monkeypatch.setattr("m100link.aircraft.aircraft.Aircraft", MagicMock(return_value=made))
     with pytest.raises(AckTimeout):
         await connect(MagicMock(spec=Link))
     made.aclose.assert_awaited_once_with()
