@@ -16,8 +16,6 @@ import pytest
 import m100link
 from m100link import errors
 from m100link.apps.cli.manual import error_classes
-from m100link.apps.cli.terminal import exit_code
-from tests.published_errors import EXIT_STATUS, PUBLISHED, UNTOLD
 from tests.test_house import MODULES, statements, tree
 
 
@@ -109,31 +107,6 @@ def test_every_class_has_its_own_cause_and_remedy(kind: type[errors.M100Error]) 
     for name in ("error_code", "usual_cause", "usual_remedy"):
         assert name in vars(kind)
         assert getattr(kind, name) not in {getattr(base, name, "") for base in kind.__bases__}
-
-
-def test_codes_stay() -> None:
-    """Programs and questions on the web name them: one may come, none may change."""
-    known = {kind.error_code: kind.__name__ for kind in CLASSES}
-    assert known.items() >= PUBLISHED.items()
-    rows = known.keys() - PUBLISHED.keys()
-    assert not rows, f"tests/published_errors.py: PUBLISHED has no row for {sorted(rows)}"
-
-
-def test_each_class_has_the_exit_status_that_scripts_rely_on() -> None:
-    expected = {name: status for status, row in EXIT_STATUS.items() for name in row.split()}
-    found = {kind.__name__: exit_code(kind.__new__(kind)) for kind in CLASSES}
-    rows = sorted(found.keys() - expected.keys())
-    assert not rows, f"tests/published_errors.py: EXIT_STATUS has no row for {rows}"
-    differ = {name: found[name] for name in expected if found[name] != expected[name]}
-    assert not differ, f"m100link/apps/cli/terminal.py: _EXIT_CODES gives others {differ}"
-
-
-def test_each_class_is_named_in_the_change_log() -> None:
-    told = (Path(__file__).parent.parent / "CHANGELOG.md").read_text(encoding="utf-8")
-    names = set(re.findall(r"[\w-]+", told))
-    untold = {kind.__name__ for kind in CLASSES if not {kind.__name__, kind.error_code} & names}
-    lines = sorted(untold - set(UNTOLD.split()))
-    assert not lines, f"CHANGELOG.md has no line that names {lines}"
 
 
 def test_an_error_names_its_code_and_where_the_manual_describes_it() -> None:
