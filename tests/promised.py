@@ -16,7 +16,7 @@ import inspect
 import re
 import subprocess
 import sys
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -105,15 +105,16 @@ def described(name: str, value: Any, others: Collection[int]) -> Iterator[tuple[
     line = [kind for kind in value.__mro__ if kind.__module__.startswith("m100link")]
     bases = ", ".join(base.__name__ for base in value.__bases__ if base is not object)
     made = any({"__init__", "__new__"} & vars(kind).keys() for kind in line)
-    of_enum: Mapping[str, enum.Enum] = getattr(value, "__members__", {})
-    yield name, f"class({bases})" + (signature(value) if made and not of_enum else "")
+    is_enum = isinstance(value, enum.EnumMeta)
+    yield name, f"class({bases})" + (signature(value) if made and not is_enum else "")
     members: Promises = {}
     for kind in reversed(line):
         if kind is value or id(kind) not in others:
             members |= {one: member(value, one, what) for one, what in vars(kind).items()}
             hints = inspect.get_annotations(kind)
-            members |= {one: named(hint) for one, hint in hints.items() if not of_enum}
-    members |= {one: repr(each.value) for one, each in of_enum.items()}
+            members |= {one: named(hint) for one, hint in hints.items() if not is_enum}
+    if isinstance(value, enum.EnumMeta):
+        members |= {one: repr(each.value) for one, each in value.__members__.items()}
     for one, text in members.items():
         # No private name, no sentence for people, and what failures() has.
         if not one.startswith(("_", "usual_", "own", "error_code")):
