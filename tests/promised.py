@@ -114,7 +114,8 @@ def described(name: str, value: Any, others: Collection[int]) -> Iterator[tuple[
             hints = inspect.get_annotations(kind)
             members |= {one: named(hint) for one, hint in hints.items() if not is_enum}
     if isinstance(value, enum.EnumMeta):
-        members |= {one: repr(each.value) for one, each in value.__members__.items()}
+        own: dict[str, Any] = dict(value.__members__)
+        members |= {one: repr(each.value) for one, each in own.items()}
     for one, text in members.items():
         # No private name, no sentence for people, and what failures() has.
         if not one.startswith(("_", "usual_", "own", "error_code")):
