@@ -185,7 +185,7 @@ def command_line() -> Promises:
     for verb, command in verbs(app, ""):
         if command.default_command is None:
             continue
-        parts = []
+        parts, options = list[str](), set[str]()
         for one in command.assemble_argument_collection(default_parameter=app.default_parameter):
             if one.children:  # a group of options, which stand for themselves
                 continue
@@ -193,11 +193,11 @@ def command_line() -> Promises:
             held = "" if default is inspect.Parameter.empty else f" = {constant(default)}"
             text = f"{', '.join(one.names)}: {named(one.hint)}{held}"
             if one.names[0].startswith("--"):
-                parts.append(one.names[0])
+                options.add(one.names[0])
                 told[f"option {text}"] = f"{told.get(f'option {text}', '')} {verb},".strip()
             else:
                 parts.append(text)
-        told[f"m100link {verb}"] = " ".join(parts)
+        told[f"m100link {verb}"] = " ".join([*parts, *sorted(options)])
     return {name: text.rstrip(",") for name, text in told.items()}
 
 
@@ -244,7 +244,11 @@ def unnamed(before: Promises, now: Promises, log_before: str, log_now: str) -> l
     """Names that changed and that no new line of the change log has."""
     lines = set(unreleased(log_now)) - set(unreleased(log_before))
     words = set(re.findall(r"[\w-]+", "\n".join(lines)))
-    return [name for name in changes(before, now) if not said(name) & words]
+    return [
+        name
+        for name in changes(before, now)
+        if not said(name, before.get(name, ""), now.get(name, "")) & words
+    ]
 
 
 def unreleased(log: str) -> list[str]:
@@ -252,10 +256,15 @@ def unreleased(log: str) -> list[str]:
     return log.partition("\n## Unreleased\n")[2].partition("\n## ")[0].splitlines()
 
 
-def said(name: str) -> set[str]:
-    """The word of a name that a line for users has."""
-    option = re.match(r"option (--[\w-]+)", name)
-    return {option[1]} if option else set(re.findall(r"[\w-]+", name)[-1:])
+def said(name: str, before: str, now: str) -> set[str]:
+    """Words of which a line for users has one: the name, or the options that its verb changes."""
+    if name.startswith("option"):
+        return set(re.findall(r"--[\w-]+", name))
+    if name.startswith("m100link "):
+        options = (set(re.findall(r"--[\w-]+", text)) for text in (before, now))
+        if changed := set.symmetric_difference(*options):
+            return changed
+    return set(re.findall(r"[\w-]+", name)[-1:])
 
 
 def committed(path: Path) -> str:

@@ -53,7 +53,7 @@ def test_the_file_has_each_kind_of_promise() -> None:
         "m100link.AuthorityCode.OBTAINED": "2",
         "m100link.Guards": "class()(gps: bool = True, envelope: Envelope | None = Envelope(",
         "m100link.Aircraft.firmware": "property(self) -> FirmwareProfile",
-        "m100link fly": "[URL] NORTH EAST UP: tuple[str, ...] --url",
+        "m100link fly": "[URL] NORTH EAST UP: tuple[str, ...] --acceleration --app-id",
         "option --max-height: float = 50.0": "fly, ",
         "M100-NO-ROUTER": "NoRouter, exit status 9",
         "version of a fleet's messages": "4",
@@ -67,6 +67,7 @@ def test_the_file_has_each_kind_of_promise() -> None:
 LOG = "# Changelog\n\n## Unreleased\n\n- `land` waits.\n{}\n## 0.2.0\n\n- `hover` is new.\n"
 BEFORE = {
     "m100link.Control.land": "(self)",
+    "m100link fly": "X --to",
     "option --to: str": "sim",
     "M100-X": "X, exit status 1",
 }
@@ -85,7 +86,10 @@ BEFORE = {
             "- `demo` goes to it.\n",
             ["option --to: str"],
         ),
-        ({}, "- `land` and `--to` are gone.\n", ["M100-X"]),
+        (BEFORE | {"m100link fly": "X --to --json"}, "- `--json` prints.\n", []),
+        (BEFORE | {"m100link fly": "X --to --json"}, "- `fly` prints.\n", ["m100link fly"]),
+        (BEFORE | {"m100link fly": "Y --to"}, "- `fly` takes Y.\n", []),
+        ({"m100link fly": "X --to"}, "- `land` and `--to` are gone.\n", ["M100-X"]),
     ],
 )
 def test_a_change_without_a_new_line_of_the_change_log_is_named(

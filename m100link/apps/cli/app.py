@@ -8,13 +8,13 @@ import signal
 import sys
 from difflib import get_close_matches
 from errno import EPIPE
+from functools import wraps
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
 from cyclopts import (
     App,
     CycloptsError,
-    CycloptsPanel,
     Group,
     Parameter,
     UnknownCommandError,
@@ -25,6 +25,7 @@ import m100link
 from m100link.apps.cli import end_at_once
 from m100link.apps.cli.terminal import (
     ExitCode,
+    OutputFormat,
     ReaderGone,
     complain,
     logging_as_asked,
@@ -35,6 +36,7 @@ from m100link.apps.cli.terminal import (
 from m100link.errors import M100Error, UsageError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from importlib.abc import InspectLoader
     from importlib.machinery import ModuleSpec
 
@@ -177,8 +179,43 @@ _FIRST = ("m100link demo", "m100link console --sim", "m100link takeoff --help")
 _DEFAULT = Parameter(negative_bool=(), negative_iterable=(), show_default=shown_default)
 
 
+_JSON = Parameter(
+    name="--json",
+    negative="--table",
+    help="Print JSON, one object per line, or text.",
+    show_default=lambda _: "JSON in a pipe",
+)
+
+
+def _with_format(app: App) -> App:
+    """A verb and those below it, each with ``--json`` and ``--table``."""
+    if app.default_command is not None and not hasattr(app.default_command, "__wrapped__"):
+        app.default_command = _printing(app.default_command)
+    for name in app:
+        if not name.startswith("-"):
+            _with_format(app[name])
+    return app
+
+
+def _printing(verb: Callable[..., Any]) -> Callable[..., Any]:
+    @wraps(verb)
+    def run(*given: Any, json: bool | None = None, **named: Any) -> Any:
+        OutputFormat.json = json
+        return verb(*given, **named)
+
+    asked = inspect.Parameter("json", inspect.Parameter.KEYWORD_ONLY, default=None)
+    run.__signature__ = inspect.Signature([*inspect.signature(verb).parameters.values(), asked])  # type: ignore[attr-defined] # as inspect says
+    run.__annotations__ = verb.__annotations__ | {"json": Annotated[bool | None, _JSON]}
+    return run
+
+
 class _Commands(App):
-    """The verbs. The help of each ends with examples."""
+    """The verbs. Each has ``--json``, and its help ends with examples."""
+
+    def __getitem__(self, key: str) -> App:
+        """A verb, loaded."""
+        found = super().__getitem__(key)
+        return found if key.startswith("-") else _with_format(found)
 
     def help_print(
         self,
@@ -265,6 +302,8 @@ def _status_of(words: list[str]) -> int:
     asked = app if VERBS.keys() & set(words) else application(overview=True)
     try:
         show_warnings()
+        for name in VERBS.keys() & set(words[:1]):
+            _ = asked[name]  # loads it
         verb, bound, _ = asked.parse_args(words, exit_on_error=False, print_error=False)
         if signal.getsignal(signal.SIGINT) is end_at_once:
             signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -277,11 +316,13 @@ def _status_of(words: list[str]) -> int:
     except (UnusedCliTokensError, UnknownCommandError) as error:
         return complain(_useless(error))
     except CycloptsError as error:
-        (error.console or asked.error_console).print(CycloptsPanel(error))
-        return ExitCode.USAGE
+        called = " ".join(("m100link", *(error.command_chain or ())))
+        return complain(UsageError(str(error), remedy=f"{called} --help lists what there is"))
     except M100Error as error:
         return complain(error)
     except KeyboardInterrupt:
         sys.stderr.write("interrupted\n")
         return ExitCode.INTERRUPTED
+    finally:
+        OutputFormat.json = None
     return status if isinstance(status, int) else ExitCode.OK

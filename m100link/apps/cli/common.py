@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import re
 from collections.abc import Callable, Coroutine, Iterable, Mapping
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -15,7 +16,7 @@ from rich.text import Text
 from m100link.apps.agent.background import when_signalled
 from m100link.apps.cli.configuration import read_configuration
 from m100link.apps.cli.options import Above0, offered, options_of
-from m100link.apps.cli.terminal import AS_IT_IS, ExitCode, LogOptions, panel
+from m100link.apps.cli.terminal import AS_IT_IS, LINES, ExitCode, LogOptions, panel
 from m100link.apps.station.config import ENVIRONMENT, Settings, resolve
 from m100link.apps.station.log_output import log_of
 from m100link.errors import UsageError
@@ -33,9 +34,14 @@ if TYPE_CHECKING:
 class TextConsole(Console):
     """A console that shows what it is given: no text of a file or a stranger steers a terminal."""
 
+    def print(self, *objects: Any, **options: Any) -> None:
+        """As rich does; a message in a pipe stays one line, so that no path in it breaks."""
+        soft_wrap = self.stderr and not self.is_terminal
+        super().print(*objects, **{"soft_wrap": soft_wrap, **options})
+
     def render_str(self, text: str, **options: Any) -> Text:
         """As rich does, with other characters in place of those that a terminal obeys."""
-        return super().render_str(printable(text, keeps="\n\t"), **options)
+        return super().render_str(printable(text, keeps=LINES), **options)
 
 
 out = TextConsole(highlight=False)
@@ -218,14 +224,16 @@ class LinkOptions(
 
     def place_among(
         self,
-        words: Iterable[str],  # arguments of which the first may be a URL or a name
-        is_other: Callable[[str], bool],  # whether a word looks like a later one
+        words: Iterable[str],  # one may be a URL, a port or a name
+        is_other: Callable[[str], bool],  # whether a word looks like one of the others
     ) -> tuple[ConnectionOptions, tuple[str, ...]]:
-        """Where the aircraft is, and the words that follow."""
-        first, *rest = words = tuple(words) or ("",)
-        if not first or is_other(first):
-            return self.place(None), tuple(filter(None, words))
-        return self.place(first), tuple(rest)
+        """Where the aircraft is, and the other words; the aircraft may stand anywhere."""
+        words, known = list(filter(None, words)), read_configuration().aircraft
+        places = [word for word in words if _PLACE.match(word) or word in known] or words[:1]
+        if not places or is_other(places[0]):
+            return self.place(None), tuple(words)
+        words.remove(places[0])
+        return self.place(places[0]), tuple(words)
 
 
 BY_LINK = LinkOptions()
@@ -240,6 +248,9 @@ class AircraftOptions(LinkOptions):
 
 
 AS_SET = AircraftOptions()
+
+_PLACE = re.compile(r"sim:|.*/|COM\d+$", re.IGNORECASE)
+"""The begin of a word that is no item and no rate, but a URL or a port."""
 
 
 def _shown(url: str) -> str:

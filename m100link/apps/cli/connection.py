@@ -36,8 +36,16 @@ from m100link.apps.cli.configuration import (
     remember,
     shown,
 )
-from m100link.apps.cli.options import Above0, AsJson, Duration, offered
-from m100link.apps.cli.terminal import ExitCode, finite, print_json, read_line, wants_json
+from m100link.apps.cli.options import Above0, Duration, offered
+from m100link.apps.cli.terminal import (
+    ExitCode,
+    as_json,
+    finite,
+    print_json,
+    read_line,
+    tell,
+    tell_text,
+)
 from m100link.apps.doctor import Finding, Machine, Report, Stage, Verdict, diagnose
 from m100link.apps.doctor.first_contact import Contact, Observation, Topic
 from m100link.apps.doctor.first_contact import first_contact as meet
@@ -55,7 +63,6 @@ async def info(
     *,
     link: LinkOptions = BY_LINK,
     duration: Duration = 1.1,
-    json: AsJson = None,
 ) -> None:
     """Show version, firmware profile, telemetry items and line quality."""
     place = link.place(url)
@@ -77,10 +84,7 @@ async def info(
             "latency": _latency(aircraft),
             "line": dataclasses.asdict(aircraft.statistics()),
         }
-    if wants_json(json):
-        print_json(described)
-    else:
-        _print_info(described)
+    tell(described, lambda: _print_info(described))
 
 
 def _print_info(described: dict[str, Any]) -> None:
@@ -127,7 +131,6 @@ async def activate(
     *,
     options: AircraftOptions = AS_SET,
     wait: Annotated[float, Above0] = 60.0,
-    json: AsJson = None,
 ) -> None:
     """Activate the aircraft for an app; wait for DJI's server.
 
@@ -138,7 +141,7 @@ async def activate(
     credentials = place.credentials()
     attempts = 0
 
-    def tell(progress: ActivationProgress) -> None:
+    def show(progress: ActivationProgress) -> None:
         nonlocal attempts
         attempts = progress.attempt
         if progress.next_attempt_in is not None:
@@ -149,19 +152,15 @@ async def activate(
             )
 
     async with place.connect() as aircraft:
-        version = await aircraft.activate(credentials, timeout=wait, progress=tell)
-    if wants_json(json):
-        print_json(
-            {
-                "activated": True,
-                "app_id": credentials.app_id,
-                "attempts": attempts,
-                "version": version.name,
-                "firmware": aircraft.firmware.name,
-            }
-        )
-    else:
-        out.print(f"[green]activated[/] for app {credentials.app_id}: {version.name}")
+        version = await aircraft.activate(credentials, timeout=wait, progress=show)
+    facts = {
+        "activated": True,
+        "app_id": credentials.app_id,
+        "attempts": attempts,
+        "version": version.name,
+        "firmware": aircraft.firmware.name,
+    }
+    tell(facts, f"activated for app {credentials.app_id}: {version.name}")
 
 
 # -- ``m100link link``: how good is the line? ------------------------------------------------------
@@ -178,7 +177,6 @@ async def link(
     options: LinkOptions = BY_LINK,
     duration: Duration = 5.0,
     rate: Annotated[float, Above0] = 10.0,
-    json: AsJson = None,
 ) -> None:
     """Measure the line: damage, its causes, round trips, item rates.
 
@@ -199,10 +197,7 @@ async def link(
                 unanswered += 1
             await asyncio.sleep(max(0.0, min(now + 1.0 / rate, end) - loop.time()))
         measured = _measured(aircraft) | {"asked": asked, "unanswered": unanswered}
-    if wants_json(json):
-        print_json(measured)
-    else:
-        _print(measured)
+    tell(measured, lambda: _print(measured))
 
 
 def telemetry_rates(aircraft: Aircraft) -> dict[str, float | None]:
@@ -325,7 +320,6 @@ def doctor(
     options: AircraftOptions = AS_SET,
     authority: bool = False,
     report: Path | None = None,
-    json: AsJson = None,
 ) -> int:
     """Find out why the line is silent, stage by stage.
 
@@ -339,14 +333,10 @@ def doctor(
     if report is not None:
         _check_report(report)
     place = options.place(url or _only_port(options))
-    as_json = wants_json(json)
-    found = _diagnosed(place, authority=authority, as_json=as_json)
+    found = _diagnosed(place, authority=authority)
     status = exit_status(found)
     described = {**found.to_json(), "exit_status": status}
-    if as_json:
-        print_json(described)
-    else:
-        _conclude(found)
+    tell(described, lambda: _conclude(found))
     if report is not None:
         _write_report(report, described)
         err.print(f"written: {report}", markup=False)
@@ -376,7 +366,7 @@ def _only_port(link: LinkOptions) -> str | None:
     return found[0] if found else None
 
 
-def _diagnosed(place: ConnectionOptions, *, authority: bool, as_json: bool) -> Report:
+def _diagnosed(place: ConnectionOptions, *, authority: bool) -> Report:
     app = place.settings
     has_app = app.app_id is not None or (
         place.is_virtual and app.key is None and app.key_file is None
@@ -389,7 +379,7 @@ def _diagnosed(place: ConnectionOptions, *, authority: bool, as_json: bool) -> R
         baud_rate=app.baud_rate,
         acceleration=app.acceleration,
     )
-    if as_json:
+    if as_json():
         return asyncio.run(look(authority=authority))
     found = asyncio.run(look(tell=_tell, authority=authority))
     if found.findings[-1].details.get("may_be_tried") and asyncio.run(_agrees()):
@@ -453,7 +443,6 @@ async def first_contact(
     options: AircraftOptions = AS_SET,
     name: str | None = None,
     report: Path | None = None,
-    json: AsJson = None,
 ) -> int:
     """Find out how your aircraft differs from the virtual one, in its first hour, propellers off.
 
@@ -476,11 +465,10 @@ async def first_contact(
     if report is not None:
         _check_report(report)
     app = place.settings
-    as_json = wants_json(json)
 
     def keep(contact: Contact) -> None:
         described = {"line": _kind_of_line(place), **contact.to_json()}
-        if as_json:
+        if as_json():
             print_json(described)
         try:
             if report is not None:
@@ -499,7 +487,7 @@ async def first_contact(
         firmware=app.firmware,
         baud_rate=app.baud_rate,
         timeout=app.timeout,
-        tell=(lambda _: None) if as_json else _tell_observation,
+        tell=(lambda _: None) if as_json() else _tell_observation,
         say=lambda text: err.print(text, style="bold", markup=False),
         keep=keep,
     )
@@ -573,11 +561,11 @@ def _write_report(path: Path, described: dict[str, Any]) -> None:
         ) from error
 
 
-def ports(*, json: AsJson = None) -> int:
+def ports() -> int:
     """List serial ports with their adapters, permissions and users."""
     machine = Machine()
     rows = [_described_port(device, machine) for device in serial_ports()]
-    if wants_json(json):
+    if as_json():
         for row in rows:
             print_json(row)
         return ExitCode.OK
@@ -646,8 +634,7 @@ def udev(
         )
     text = rule(machine.adapter(device), name, group=group, by_serial=by_serial)
     if not install:
-        sys.stdout.write(text)
-        return ExitCode.OK
+        return tell_text(text)
     try:
         RULES_FILE.write_text(text, encoding="utf-8")
     except OSError as error:
@@ -656,9 +643,9 @@ def udev(
             cause="only root may write there",
             remedy=f"m100link udev {device} | sudo tee {RULES_FILE}",
         ) from error
-    err.print(f"written: {RULES_FILE}; now: sudo udevadm control --reload", markup=False)
+    err.print("now: sudo udevadm control --reload", markup=False)
     err.print(f"then plug the adapter in again: its port is /dev/{name}", markup=False)
-    return ExitCode.OK
+    return tell({"file": str(RULES_FILE), "port": f"/dev/{name}"}, f"written: {RULES_FILE}")
 
 
 def _only_adapter(machine: Machine) -> str:

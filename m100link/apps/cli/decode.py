@@ -5,19 +5,18 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
-from m100link.apps.cli.options import AsJson, Firmware
-from m100link.apps.cli.terminal import ExitCode, complain, print_json, wants_json
+from m100link.apps.cli.options import Firmware
+from m100link.apps.cli.terminal import ExitCode, as_json, complain, print_json, tell
 from m100link.errors import UsageError
 from m100link.protocol.describing import Describer
 from m100link.protocol.firmware import FirmwareProfile, profile
 from m100link.wire import Cipher
 
 
-def decode(
-    *streams: str, key: str | None = None, firmware: Firmware = "1.0", json: AsJson = None
-) -> int:
+def decode(*streams: str, key: str | None = None, firmware: Firmware = "1.0") -> int:
     """Decode frames from hex: a stream per argument or input line.
 
     It prints one JSON object per stream: frames with decoded fields, the number of bytes outside
@@ -29,21 +28,17 @@ def decode(
         firmware: Firmware profile with which to read telemetry and movement.
     """
     cipher = Cipher(key) if key else None
-    as_json = wants_json(json)
     status = ExitCode.OK
     for text in streams or _lines():
         try:
             stream = _from_hex(text)
         except UsageError as error:
             status = complain(error)
-            if as_json:
+            if as_json():
                 print_json({"error": error.seen, "error_code": error.error_code})
             continue
         decoded = decode_stream(stream, cipher=cipher, profile=profile(firmware))
-        if as_json:
-            print_json(decoded)
-        else:
-            _print_table(decoded)
+        tell(decoded, partial(_print_table, decoded))
     return status
 
 

@@ -29,8 +29,8 @@ from m100link.aircraft.activation import ActivationProgress
 from m100link.apps.agent.server.connection import by_driver, by_url
 from m100link.apps.cli.common import err, out
 from m100link.apps.cli.display import line_plot, track_plot
-from m100link.apps.cli.options import Json, Simulated
-from m100link.apps.cli.terminal import AS_IT_IS, ExitCode, LogOptions, complain, print_json
+from m100link.apps.cli.options import Simulated
+from m100link.apps.cli.terminal import AS_IT_IS, ExitCode, LogOptions, as_json, complain, tell
 from m100link.apps.station.config import RECORD_KEEP, RECORD_KEEP_MB
 from m100link.errors import M100Error
 from m100link.flight.control import Control
@@ -117,7 +117,6 @@ def demo(
     side: Annotated[float, Parameter(validator=validators.Number(gte=1, lte=100))] = 8.0,
     firmware: Simulated = "1.0",
     seed: int = 1,
-    json: Json = False,
     record: Path | None = None,
     no_record: bool = False,
     log: LogOptions = AS_IT_IS,
@@ -141,14 +140,11 @@ def demo(
     factor = math.inf if speed == "max" else float(speed)
     with asyncio.Runner(loop_factory=loop_factory(factor)) as runner:
         try:
-            runner.run(_fly(flight, side, firmware, seed, factor, shows=not json))
+            runner.run(_fly(flight, side, firmware, seed, factor, shows=not as_json()))
         except M100Error as error:
             failure = error
     summary = _summary(flight, speed, seed, time.monotonic() - began_at, failure)
-    if json:
-        print_json(summary)
-    else:
-        _print_summary(flight, summary)
+    tell(summary, lambda: _print_summary(flight, summary))
     if failure is not None:
         return complain(failure)
     return ExitCode.OK if summary["flown"] else ExitCode.FAILED

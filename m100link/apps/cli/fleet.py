@@ -13,15 +13,23 @@ from contextlib import AbstractAsyncContextManager, contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from cyclopts import Parameter
 from rich.console import Console
 
 from m100link.apps.cli.common import err, out
-from m100link.apps.cli.options import Above0, Json
+from m100link.apps.cli.options import Above0
 from m100link.apps.cli.plan import File, require_free
-from m100link.apps.cli.terminal import AS_IT_IS, ExitCode, LogOptions, panel, print_json
+from m100link.apps.cli.terminal import (
+    AS_IT_IS,
+    ExitCode,
+    LogOptions,
+    as_json,
+    panel,
+    tell,
+    tell_text,
+)
 from m100link.apps.fleet.asking import PATIENCE_S, Sign
 from m100link.apps.fleet.client import Fleet, FleetAircraft, connect
 from m100link.apps.fleet.identity import Rights
@@ -169,7 +177,6 @@ class FleetOptions:
     identity: Annotated[str | None, Parameter(env_var="M100LINK_IDENTITY")] = None
     pki: Annotated[Path | None, Parameter(env_var="M100LINK_PKI")] = None
     patience: Annotated[float, Above0] = PATIENCE_S
-    json_output: Json = False
     log: LogOptions = AS_IT_IS
 
     def open(self) -> AbstractAsyncContextManager[Fleet]:
@@ -246,22 +253,13 @@ def say(*lines: str, to: Console = out) -> None:
         to.print(line, markup=False, soft_wrap=True)
 
 
-def tell(facts: dict[str, Any], *lines: str, as_json: bool) -> int:
-    """Print an object of JSON, or lines for people."""
-    if as_json:
-        print_json(facts)
-    else:
-        say(*lines)
-    return ExitCode.OK
-
-
 def write_out(target: File, text: str, *, force: bool) -> None:
     """Write a file; - is standard output.
 
     Raises UsageError: it is there already, or cannot be written.
     """
     if str(target) == "-":
-        sys.stdout.write(text)
+        tell_text(text)
         return
     require_free(target, force=force)
     try:
@@ -270,31 +268,27 @@ def write_out(target: File, text: str, *, force: bool) -> None:
         raise UsageError(
             f"{target} cannot be written: {error.strerror}", remedy="name another file"
         ) from error
+    tell({"file": str(target)})
 
 
 def tell_results(results: dict[str, Result], options: FleetOptions) -> int:
     """Print what became of an order to each; 0 only when all is well."""
-    as_json = options.json_output
     if not results:
         err.print(f"there is no agent at site {options.place}")
         return ExitCode.NO_LINK
     for name in in_order(results):
         result = results[name]
         error = result.error
-        if as_json:
-            facts: dict[str, Any] = {"name": name, "outcome": result.outcome.value}
-            if error is not None:
-                facts |= {"code": error.error_code, "seen": error.seen, "remedy": error.remedy}
-            print_json(facts)
-            continue
-        why = "" if error is None else f"  {error.seen}"
-        style = "green" if result.is_ok else "red"
-        out.print(f"{name:12} [{style}]{result.outcome.value}[/]", end="")
-        say(why)
-        if error is not None and error.remedy:
+        facts = {"name": name, "outcome": result.outcome.value}
+        why = ""
+        if error is not None:
+            facts |= {"code": error.error_code, "seen": error.seen, "remedy": error.remedy}
+            why = f"  {error.seen}"
+        tell(facts, f"{name:12} {result.outcome.value}{why}")
+        if error is not None and error.remedy and not as_json():
             say(f"{'':12} {error.remedy}", to=err)
     bad = [result for result in results.values() if not result.is_ok]
-    if bad and not as_json:
+    if bad and not as_json():
         sys.stdout.flush()
         err.print(f"{len(results) - len(bad)} ok, {len(bad)} not", markup=False)
     return ExitCode.FAILED if bad else ExitCode.OK

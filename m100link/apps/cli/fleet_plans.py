@@ -26,13 +26,12 @@ from m100link.apps.cli.fleet import (
     reported_when_interrupted,
     say,
     shared,
-    tell,
     write_out,
 )
 from m100link.apps.cli.mission import event_name, event_words
-from m100link.apps.cli.options import Above0, AsJson, Force, Yes, group
+from m100link.apps.cli.options import Above0, Force, Yes, group
 from m100link.apps.cli.plan import File, FileOptions, PlanFile, TakeOff, degrees, read_plan
-from m100link.apps.cli.terminal import ExitCode, ReaderGone, print_json, wants_json
+from m100link.apps.cli.terminal import ExitCode, ReaderGone, as_json, print_json, tell
 from m100link.apps.fleet.client import FleetAircraft
 from m100link.apps.fleet.missions.flight import FleetMission, MissionOrders
 from m100link.apps.fleet.payloads import MissionCard, MissionStage, OrderReply, ShowStage
@@ -78,7 +77,7 @@ def fly(
     --lost says what follows. `pause`, `resume` and `stop` act on the mission from another shell.
     """
     found = read_plan(plan, file)
-    show = _Show(name, found, as_json=options.json_output)
+    show = _Show(name, found)
     if not yes:
         _confirm(name, found, take_off=take_off or found.take_off)
 
@@ -127,9 +126,8 @@ def _ask(what: str, question: str) -> None:
 class _Show:
     """The display of a mission, and its outcome."""
 
-    def __init__(self, name: str, plan: WaypointPlan, *, as_json: bool) -> None:
+    def __init__(self, name: str, plan: WaypointPlan) -> None:
         self._name, self._plan = name, plan
-        self._is_json = as_json or not sys.stdout.isatty()
         self._reached: set[int] = set()
         self._is_finished = False
         self.mission: FleetMission | None = None
@@ -138,7 +136,7 @@ class _Show:
         if isinstance(event, Reached):
             self._reached.add(event.index)
         self._is_finished = self._is_finished or isinstance(event, Finished)
-        if self._is_json:
+        if as_json():
             print_json({"name": self._name, "event": event_name(event)} | asdict(event))
             return
         words = event_words(event)
@@ -194,7 +192,7 @@ async def _ordering(
         with reported_when_interrupted(name, left):
             text = await do(MissionOrders(ask), aircraft) or done
     facts = {"name": name, "outcome": "ok", "told": text}
-    return tell(facts, f"{name}: {text}", as_json=options.json_output)
+    return tell(facts, f"{name}: {text}")
 
 
 @missions.command
@@ -266,7 +264,7 @@ async def stop(name: Name, /, *, options: FleetOptions = NO_OPTIONS) -> int:
         with reported_when_interrupted(name, _STOP):
             await fleet[name].stop()
     facts = {"name": name, "outcome": "ok"}
-    return tell(facts, f"{name}: stopped", as_json=options.json_output)
+    return tell(facts, f"{name}: stopped")
 
 
 @missions.command
@@ -275,7 +273,7 @@ async def progress(name: Name, /, *, options: FleetOptions = NO_OPTIONS) -> int:
     async with options.open() as fleet:
         card = await fleet[name].mission()
     facts = asdict(card) | {"stage": card.stage.value, "reached": list(card.reached)}
-    return tell(facts, f"{name}: {_progress(card)}", as_json=options.json_output)
+    return tell(facts, f"{name}: {_progress(card)}")
 
 
 def _progress(card: MissionCard) -> str:
@@ -328,24 +326,21 @@ def _read(file: File) -> Show:
 
 
 @shows.command
-def check(
-    show: ShowFile, /, *, guards: ShowEnvelopeOptions = ShowEnvelopeOptions(), json: AsJson = None
-) -> int:
+def check(show: ShowFile, /, *, guards: ShowEnvelopeOptions = ShowEnvelopeOptions()) -> int:
     """Check a show: the limits of each aircraft, and when which two come too near to each other.
 
     The exit status is 0 if the show may be flown, 2 if not.
     """
-    as_json = wants_json(json)
     try:
         found = _read(show)
     except BadShow as error:
-        if not as_json:
+        if not as_json():
             raise
         print_json({"ok": False, "problems": [_problem(error)]})
         return ExitCode.USAGE
     report = report_on(found, guards.envelope)
     status = ExitCode.OK if report.ok else ExitCode.USAGE
-    if as_json:
+    if as_json():
         print_json(_facts(found, report))
         return status
     lines = [f"✗ {one.seen}\n  {one.remedy}" for one in report.problems]
@@ -421,7 +416,9 @@ def preview(
     """
     found = _read(show)
     report = report_on(found, guards.envelope)
-    if picture is None:
+    if picture is None and as_json():
+        print_json(_facts(found, report))
+    elif picture is None:
         say(*_drawn(found))
     else:
         write_out(picture, svg(found, report), force=force)
@@ -477,7 +474,7 @@ def fly_show(
             stage = "silent" if part.stage is None else part.stage.value
             words = part.why or f"at most {part.farthest_m:.2f} m from its track"
             facts = {"name": part.name, "stage": stage, "why": part.why}
-            tell(facts, f"{part.name}: {stage}, {words}", as_json=options.json_output)
+            tell(facts, f"{part.name}: {stage}, {words}")
         is_flown = all(one.stage is ShowStage.FLOWN and not one.why for one in parts.values())
         return ExitCode.OK if is_flown else ExitCode.FAILED
 

@@ -26,11 +26,10 @@ from m100link.apps.cli.fleet import (
     Names,
     results_of,
     say,
-    tell,
     tell_results,
     write_out,
 )
-from m100link.apps.cli.options import Above0, AsJson, Counted, Force, Json, group
+from m100link.apps.cli.options import Above0, Counted, Force, group
 from m100link.apps.cli.plan import File
 from m100link.apps.cli.serve import (
     AS_USUAL,
@@ -46,7 +45,7 @@ from m100link.apps.cli.serve import (
     tell_event,
     warn_of,
 )
-from m100link.apps.cli.terminal import AS_IT_IS, ExitCode, LogOptions, wants_json
+from m100link.apps.cli.terminal import AS_IT_IS, ExitCode, LogOptions, as_json, tell
 from m100link.apps.fleet.client import open_fleet
 from m100link.apps.fleet.identity import BadRights, Rights
 from m100link.apps.fleet.keys import DEFAULT_SITE
@@ -92,7 +91,6 @@ async def router(
     *,
     listen: tuple[str, ...] = (ROUTER,),
     connect: tuple[str, ...] = (),
-    json_output: Json = False,
     log: LogOptions = AS_IT_IS,
 ) -> None:
     """Run a router without certificates, until Ctrl-C. A zenohd works, too.
@@ -107,7 +105,7 @@ async def router(
     """
     ended = Ended()
     async with open_fleet("router", listen=listen, connect=connect):
-        tell({"listen": list(listen)}, f"router: {', '.join(listen)}", as_json=json_output)
+        tell({"listen": list(listen)}, f"router: {', '.join(listen)}")
         await ended.wait()
 
 
@@ -150,8 +148,8 @@ async def agent(
         aircraft = {name: aircraft[ONLY_NAME]}
     aircraft = {called: recorded_apart(one, called) for called, one in aircraft.items()}
     if options.run.show_config:
-        for settings in aircraft.values():
-            show(settings)
+        for called, settings in aircraft.items():
+            show(settings, called)
         return ExitCode.OK
     is_virtual = all(settings.sim for settings in aircraft.values())
     kept = order_log or (None if is_virtual else default_order_logs())
@@ -168,7 +166,7 @@ async def _serve(aircraft: dict[str, Settings], fleet: FleetSettings, run: RunOp
         async with serving_fleet(aircraft, fleet, partial(tell_event, teller, run.log)) as agents:
             words = f"fleet:     {fleet.site}: {', '.join(agents)}"
             facts = {"fleet": fleet.site, "agents": list(agents)}
-            tell(facts, words, as_json=run.json_output)
+            tell(facts, words)
             leave_what_stays()
             await ended.wait()
             teller.do(lambda: err.print("ending: an aircraft that flies hovers"))
@@ -178,7 +176,7 @@ async def _serve(aircraft: dict[str, Settings], fleet: FleetSettings, run: RunOp
 # -- ``m100link fleet make`` and ``up``: a fleet of one file ---------------------------------------
 
 
-def make(file: FleetFile, /, *, renew: bool = False, json: AsJson = None) -> int:
+def make(file: FleetFile, /, *, renew: bool = False) -> int:
     """Make all that a fleet file needs, beside it: an authority, certificates, keys and boards.
 
     pki/ gets the certificates and keys, with the key of the authority: keep it on a machine that
@@ -192,7 +190,7 @@ def make(file: FleetFile, /, *, renew: bool = False, json: AsJson = None) -> int
     facts = {"made": {name: ends.isoformat(timespec="seconds") for name, ends in made.items()}}
     lines = [f"{rights.pki / name}.pem: until {ends:%Y-%m-%d}" for name, ends in made.items()]
     lines.append(f"{file.parent / BOARDS}: a folder for each machine; m100link fleet up {file}")
-    return tell(facts, *lines, as_json=wants_json(json))
+    return tell(facts, *lines)
 
 
 async def up(
@@ -200,7 +198,6 @@ async def up(
     /,
     *names: Annotated[str, Parameter(help="Routers, aircraft, or console; by default all.")],
     real: bool = False,
-    json_output: Json = False,
     log: LogOptions = AS_IT_IS,
 ) -> int:
     """Run the routers, agents and console of a fleet file, until Ctrl-C; each in its own process.
@@ -243,7 +240,7 @@ async def up(
             lines = [line for line in lines if not line.startswith("agent")]
             own = ", ".join(name for name in parts if name in rights.aircraft)
             lines += [f"{kind} aircraft: {own}"] if own else []
-            tell({"up": list(parts), "real": real, **found}, *lines, as_json=json_output)
+            tell({"up": list(parts), "real": real, **found}, *lines)
             leave_what_stays()
             await ended.wait()
             teller.do(lambda: err.print("ending: an aircraft that flies hovers"))
@@ -268,17 +265,16 @@ def _settings_of(rights: Rights, name: str, *, is_real: bool) -> Settings:
     return recorded_apart(settings, name)
 
 
-async def doctor(file: FleetFile, /, *, json: AsJson = None) -> int:
+async def doctor(file: FleetFile, /) -> int:
     """Prove each leg and each right of a fleet that runs, and name what is wrong before a flight.
 
     Each operator whose signing key is in pki/ beside the file asks each aircraft by each router for
     its state, its fleet file and who has control. Nothing moves, and nobody loses control.
     """
-    as_json = wants_json(json)
-    found = await examine(Rights.read(file), lambda text: None if as_json else say(f"✓ {text}"))
+    found = await examine(Rights.read(file), lambda text: None if as_json() else say(f"✓ {text}"))
     for one in found:
         facts = {"fault": one.fault, "name": one.name, "seen": one.seen, "remedy": one.remedy}
-        tell(facts, f"✗ {one.fault}: {one.seen}", f"  {one.remedy}", as_json=as_json)
+        tell(facts, f"✗ {one.fault}: {one.seen}", f"  {one.remedy}")
     return ExitCode.FAILED if found else ExitCode.OK
 
 
@@ -325,7 +321,7 @@ async def _serve_console(
         path, shown = served.console_path(), list(served.agents)
         url = f"{scheme}://{settings.authority(served.sockets.port('console'))}{path}"
         words = f"console:   {url}", f"aircraft:  {', '.join(shown)}"
-        tell({"console": url, "aircraft": shown}, *words, as_json=options.json_output)
+        tell({"console": url, "aircraft": shown}, *words)
         warn_of(settings)
         if is_opened:
             await asyncio.to_thread(webbrowser.open, url)
@@ -345,7 +341,6 @@ acl = group("acl", "List the rights in a fleet file; write a router's rules from
 def revoke(
     *names: Annotated[str, Parameter(help="Certificates of operators, aircraft or routers.")],
     folder: Path = Path(),
-    json: AsJson = None,
 ) -> int:
     """Revoke certificates and keys before they expire; a revoked name stays revoked.
 
@@ -366,7 +361,6 @@ def revoke(
         f"{folder / LIST}: list {found.number}",
         *(f"  {name}: revoked since {since}" for name, since in found.names.items()),
         "m100link fleet pki push --all brings it to the agents; copy it to the routers",
-        as_json=wants_json(json),
     )
 
 
@@ -399,7 +393,7 @@ async def push(
 
 
 @acl.command
-def check(file: File, /, *, who: tuple[str, ...] = (), json: AsJson = None) -> int:
+def check(file: File, /, *, who: tuple[str, ...] = ()) -> int:
     """List what each identity may do with each aircraft; one that is revoked beside it: nothing.
 
     Args:
@@ -407,7 +401,6 @@ def check(file: File, /, *, who: tuple[str, ...] = (), json: AsJson = None) -> i
         who: Name of an identity; may be repeated. All identities by default.
     """
     rights = Rights.read(file)
-    as_json = wants_json(json)
     revoked = _revoked_beside(rights)
     for name in who or tuple(rights.identities):
         one = rights.identities.get(name)
@@ -430,7 +423,6 @@ def check(file: File, /, *, who: tuple[str, ...] = (), json: AsJson = None) -> i
             facts | ({"revoked": since} if since else {}),
             f"{name} ({signs_text})",
             *(f"  {aircraft}: {_words(right)}" for aircraft, right in found),
-            as_json=as_json,
         )
     return ExitCode.OK
 

@@ -30,13 +30,12 @@ from m100link.apps.cli.fleet import (
     results_of,
     say,
     shared,
-    tell,
     tell_results,
 )
 from m100link.apps.cli.fleet_plans import missions, shows
 from m100link.apps.cli.fleet_setup import acl, agent, console, doctor, make, pki, router, up
 from m100link.apps.cli.options import Above0, AtMost, group
-from m100link.apps.cli.terminal import ExitCode, ReaderGone, print_json
+from m100link.apps.cli.terminal import ExitCode, ReaderGone, as_json, print_json, tell
 from m100link.apps.fleet.client import Fleet, FleetAircraft
 from m100link.apps.fleet.identity import WINDOW_S
 from m100link.apps.fleet.keys import Keys, check_name, in_order
@@ -66,7 +65,7 @@ async def list_(*, options: FleetOptions = NO_OPTIONS) -> None:
         names, cards = await fleet.names(), await fleet.cards()
     # An agent of an older release shows another token, but publishes its state all the same.
     names = in_order({*names, *cards})
-    if options.json_output:
+    if as_json():
         for name in names:
             print_json(asdict(cards[name]) if name in cards else {"name": name})
         return
@@ -222,7 +221,7 @@ async def monitor(
         asyncio.get_running_loop().call_later(duration, ended.set)
     async with options.open() as fleet:
         heard = FleetTelemetry(fleet.bus, fleet.keys)
-        if options.json_output:
+        if as_json():
             while await _until(ended, 1.0):
                 for name in in_order(fleet.present | set(heard.states)):
                     print_json(_facts(fleet, heard, name))
@@ -326,10 +325,10 @@ async def lease(
     async with options.open() as fleet, fleet[name].control(take_over=take_over) as control:
         facts = {"name": name, "fence": control.fence}
         words = f"{name}: lease {control.fence}, until Ctrl-C"
-        tell(facts, words, as_json=options.json_output)
+        tell(facts, words)
         with shared(options.place, name, control.proof):
             await ended.wait()
-            if not options.json_output:
+            if not as_json():
                 err.print(f"{name}: control goes back: it hovers", markup=False)
 
 
@@ -355,14 +354,14 @@ async def logs(*names: Names, everybody: All = False, options: FleetOptions = NO
         if isinstance(result.value, list)
         for one in result.value
     ]
-    if rows and not options.json_output:
+    if rows and not as_json():
         say(f"{'name':12} {'log':32} {'size':>9}  last written (UTC)")
     for name, one in rows:
         at = time.strftime("%Y-%m-%d %H:%M:%S", time.gmtime(one.at))
         is_written = ", and still" if one.is_written else ""
         words = f"{name:12} {one.log:32} {decimal(one.size):>9}  {at}{is_written}"
-        tell({"name": name} | asdict(one), words, as_json=options.json_output)
-    if results and not rows and not options.json_output:
+        tell({"name": name} | asdict(one), words)
+    if results and not rows and not as_json():
         err.print("no logs")
     return _failures(results, options)
 
@@ -396,7 +395,7 @@ async def audit(
             day = time.strftime("%Y-%m-%d %H:%M:%S", time.gmtime(at))
             words = f"{day}  {name:8} {facts['signer'] or facts['by']:12} {facts['order']:16}"
             words += f" {facts['outcome']}  {facts.get('why', '')}"
-            tell({"name": name} | facts, words.rstrip(), as_json=options.json_output)
+            tell({"name": name} | facts, words.rstrip())
     wrong = [f"{name}: {text}" for name, (_, texts) in merged.items() for text in texts]
     say(*wrong, to=err)
     return _failures(results, options) or (ExitCode.FAILED if wrong else ExitCode.OK)
@@ -423,7 +422,7 @@ async def fetch(
     """
     if last and file:
         raise UsageError("--last and --file name two logs", remedy="leave out one of them")
-    shown = _Shown(is_quiet=options.json_output)
+    shown = _Shown()
 
     async def one(aircraft: FleetAircraft) -> Fetched:
         fetched = await aircraft.fetch_log(file, to, shown.listener(aircraft.name))
@@ -442,8 +441,7 @@ async def fetch(
 class _Shown:
     """How far each log is: bars in a terminal, a line for each that is here."""
 
-    def __init__(self, *, is_quiet: bool) -> None:
-        self._is_json = is_quiet
+    def __init__(self) -> None:
         columns = (TextColumn("{task.description}"), BarColumn(), DownloadColumn())
         self._progress = Progress(*columns, TransferSpeedColumn(), console=err, transient=True)
         self._at: dict[str, tuple[int, int]] = {}
@@ -471,7 +469,7 @@ class _Shown:
         if fetched.is_written:
             text += "; the log is still being written, and this is its part so far"
         facts = asdict(fetched) | {"path": str(fetched.path), "outcome": "ok"}
-        tell(facts, f"{fetched.name}: {fetched.path}: {text}", as_json=self._is_json)
+        tell(facts, f"{fetched.name}: {fetched.path}: {text}")
 
     def interrupted(self) -> None:
         """Say how much is here of each log that was not finished."""

@@ -15,7 +15,6 @@ from contextlib import asynccontextmanager
 from typing import Annotated
 
 from cyclopts import Parameter
-from rich.table import Table
 
 from m100link.aircraft import Aircraft
 from m100link.aircraft.activation import ActivationProgress
@@ -31,11 +30,10 @@ from m100link.apps.cli.common import (
     LinkOptions,
     Url,
     err,
-    out,
     places,
 )
-from m100link.apps.cli.options import Above0, AsJson, On, Yes, offered
-from m100link.apps.cli.terminal import print_json, read_line, wants_json
+from m100link.apps.cli.options import Above0, On, Yes, offered
+from m100link.apps.cli.terminal import read_line, tell
 from m100link.errors import AckTimeout, MissionRefused, MissionRunning, NotObserved, UsageError
 from m100link.flight.control import Control
 from m100link.flight.guards import Guards
@@ -59,7 +57,7 @@ async def takeoff(
     """Start the motors, climb to about 1.2 m and hover."""
     flight = in_control(options.place(url), "take off", is_sure=yes, begins="take off")
     async with flight as (_, control):
-        await control.take_off(progress=_tell)
+        await control.take_off(progress=_show)
 
 
 async def land(
@@ -72,7 +70,7 @@ async def land(
     """
     async with in_control(options.place(url), "land", is_sure=True) as (aircraft, control):
         await _end_mission(aircraft, control)
-        await control.land(progress=_tell)
+        await control.land(progress=_show)
 
 
 async def home(url: Url = None, /, *, options: AircraftOptions = AS_SET, yes: Yes = False) -> None:
@@ -80,7 +78,7 @@ async def home(url: Url = None, /, *, options: AircraftOptions = AS_SET, yes: Ye
     flight = in_control(options.place(url), "go home", is_sure=yes, look=_mission_that_ends)
     async with flight as (aircraft, control):
         await _end_mission(aircraft, control)
-        await control.go_home(progress=_tell)
+        await control.go_home(progress=_show)
 
 
 async def fly(
@@ -150,7 +148,7 @@ async def release(url: Url = None, /, *, options: AircraftOptions = AS_SET) -> N
                 cause="the release or its answer was lost, or the aircraft refused it: see the log",
                 remedy="try again; the aircraft hovers, and the mode switch gives it to the pilot",
             )
-        out.print("released")
+        tell({"done": "release"}, "released")
 
 
 Look = Callable[[Aircraft], Awaitable[str | None]]
@@ -167,7 +165,7 @@ async def activated(
 ) -> AsyncIterator[Aircraft]:
     """Connect and activate; the terminal shows why that takes time."""
 
-    def tell(progress: ActivationProgress) -> None:
+    def show(progress: ActivationProgress) -> None:
         if progress.next_attempt_in is not None:
             err.print(f"activation: {progress.code.meaning}; again in a moment")
 
@@ -177,7 +175,7 @@ async def activated(
         if ask is not None and not place.is_virtual:
             also = None if look is None else await look(aircraft)
             await confirm(aircraft, (also or "") + ask)
-        await aircraft.activate(credentials, progress=tell)
+        await aircraft.activate(credentials, progress=show)
         yield aircraft
 
 
@@ -203,7 +201,11 @@ async def in_control(
         async with aircraft.control(guards=guards) as control:
             yield aircraft, control
         if what is not None and is_reported:
-            out.print(f"done: {what} ({describe_situation(aircraft.state.situation())})")
+            situation = aircraft.state.situation()
+            tell(
+                {"done": what, "situation": situation},
+                f"done: {what} ({describe_situation(situation)})",
+            )
 
 
 async def _mission_that_ends(aircraft: Aircraft) -> str:
@@ -261,7 +263,7 @@ async def confirm(aircraft: Aircraft, what: str) -> None:
         raise UsageError(f"{what} was not confirmed", remedy="answer y, or give --yes")
 
 
-def _tell(progress: TaskProgress) -> None:
+def _show(progress: TaskProgress) -> None:
     if sys.stderr.isatty():
         height = "" if progress.height_m is None else f"{progress.height_m:z5.2f} m"
         phase = "" if progress.phase is None else progress.phase.name.lower().replace("_", " ")
@@ -289,7 +291,6 @@ async def gimbal(
     rates: bool = False,
     wait: On = True,
     options: AircraftOptions = AS_SET,
-    json: AsJson = None,
 ) -> None:
     """Show the angles of the gimbal, and point it.
 
@@ -336,12 +337,10 @@ async def gimbal(
         "roll_deg": round(seen.roll_deg, 1),
         "limits": seen.limits,
     }
-    if wants_json(json):
-        print_json(described)
-    else:
-        out.print(
-            f"yaw {seen.yaw_deg:z.1f}°, pitch {seen.pitch_deg:z.1f}°, roll {seen.roll_deg:z.1f}°"
-        )
+    tell(
+        described,
+        f"yaw {seen.yaw_deg:z.1f}°, pitch {seen.pitch_deg:z.1f}°, roll {seen.roll_deg:z.1f}°",
+    )
 
 
 async def camera(
@@ -351,7 +350,6 @@ async def camera(
         offered(lambda: [*_CAMERA, *places()]),
     ],
     options: AircraftOptions = AS_SET,
-    json: AsJson = None,
 ) -> None:
     """Take a photo, start or stop video; the aircraft confirms neither.
 
@@ -373,10 +371,8 @@ async def camera(
             "stop-video": aircraft.camera.stop_video,
         }
         await commands[action]()
-    if wants_json(json):
-        print_json({"sent": action, "confirmed": None})
-    else:
-        out.print(f"sent: {action} (the aircraft does not confirm it: look at the memory card)")
+    text = f"sent: {action} (the aircraft does not confirm it: look at the memory card)"
+    tell({"sent": action, "confirmed": None}, text)
 
 
 def _not_an_action(words: Sequence[str]) -> str:
@@ -397,7 +393,6 @@ async def rates(
         offered(lambda: [*(f"{name}=" for name in ITEM_NAMES), *places()]),
     ],
     link: LinkOptions = BY_LINK,
-    json: AsJson = None,
 ) -> None:
     """Show at which rate each item arrives, and set rates (firmware 3.1).
 
@@ -417,15 +412,8 @@ async def rates(
             item.name: round((state.statistics(record).count - before[record]) / _WATCH_S, 1)
             for record, item in BY_RECORD.items()
         }
-    if wants_json(json):
-        print_json({"rates_hz": seen})
-        return
-    table = Table(box=None, pad_edge=False)
-    table.add_column("item")
-    table.add_column("Hz", justify="right")
-    for name, rate in seen.items():
-        table.add_row(name, f"{rate:g}" if rate else "-")
-    out.print(table)
+    lines = (f"{name:16} {rate or '-':>6}" for name, rate in seen.items())
+    tell({"rates_hz": seen}, f"{'item':16} {'Hz':>6}", *lines)
 
 
 def _is_rate(word: str) -> bool:

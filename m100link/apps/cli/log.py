@@ -21,8 +21,8 @@ from m100link.aircraft import Aircraft
 from m100link.apps.agent.background import when_signalled
 from m100link.apps.cli.common import BY_LINK, LinkOptions, Url, err, out
 from m100link.apps.cli.display import Items, items_named, reading, status
-from m100link.apps.cli.options import OUTPUT, AsJson, AtMost, Firmware, Json, group
-from m100link.apps.cli.terminal import ExitCode, print_json, wants_json
+from m100link.apps.cli.options import OUTPUT, AtMost, Firmware, group
+from m100link.apps.cli.terminal import ExitCode, OutputFormat, as_json, print_json, tell, tell_text
 from m100link.errors import LinkError, UsageError
 from m100link.link.keyfile import read_key
 from m100link.log import Recorder, read, recover
@@ -63,7 +63,7 @@ def ros2(file: Log, /, *, output: Output = None, firmware: AsFlown = None) -> in
     target = output or file.with_stem(f"{file.stem}-ros2")
     with reading(file, passes=2) as flight, new_file(target) as stream:
         count = write_bag(flight, stream, firmware=firmware)
-    out.print(f"{count} messages in {target}", soft_wrap=True)
+    tell({"messages": count, "file": str(target)}, f"{count} messages in {target}")
     return status(flight)
 
 
@@ -74,11 +74,9 @@ def layout(*, output: ToFile = None) -> int:
     """
     text = json.dumps(layout_of_panels(), indent=2) + "\n"
     if output is None:
-        sys.stdout.write(text)
-    else:
-        write_new(output, text.encode())
-        out.print(f"layout in {output}", soft_wrap=True)
-    return ExitCode.OK
+        return tell_text(text, json.loads(text))
+    write_new(output, text.encode())
+    return tell({"file": str(output)}, f"layout in {output}")
 
 
 # -- ``m100link log csv`` and ``parquet``: telemetry as tables, a row per package ------------------
@@ -95,10 +93,17 @@ def csv(file: Log, /, *items: Items, output: ToFile = None, firmware: AsFlown = 
         stream: TextIO | StreamWriter = sys.stdout
         if output is not None:
             stream = getwriter("utf-8")(stack.enter_context(new_file(output)))
+        if output is None and OutputFormat.json:
+            for row in rows:
+                known = zip(names, row, strict=True)
+                print_json({name: value for name, value in known if value == value})
+            return status(flight)
         writer = csv_module.writer(stream, lineterminator="\n")
         writer.writerow(names)
         for row in rows:
             writer.writerow("" if value != value else round(value, 9) for value in row)
+    if output is not None:
+        tell({"file": str(output)})
     return status(flight)
 
 
@@ -111,7 +116,7 @@ def parquet(file: Log, /, *items: Items, output: Output = None, firmware: AsFlow
     target = output or file.with_suffix(".parquet")
     with reading(file) as flight, new_file(target) as stream:
         count = write_parquet(flight, stream, *records, firmware=firmware)
-    out.print(f"{count} rows in {target}", soft_wrap=True)
+    tell({"rows": count, "file": str(target)}, f"{count} rows in {target}")
     return status(flight)
 
 
@@ -146,14 +151,16 @@ def wireshark(
     if plugin is not None:
         with new_file(plugin) as stream:
             stream.write(dissector().encode())
-        out.print(f"plugin in {plugin}", soft_wrap=True)
+        tell({"plugin": str(plugin)}, f"plugin in {plugin}")
     if install:
-        out.print(f"plugin in {_install()}; Wireshark: Analyze, Reload Lua Plugins", soft_wrap=True)
+        there = _install()
+        words = f"plugin in {there}; Wireshark: Analyze, Reload Lua Plugins"
+        tell({"plugin": str(there)}, words)
     if file is not None:
         target = output or file.with_suffix(".pcapng")
         with reading(file) as flight, new_file(target) as stream:
             count = write_pcapng(flight, stream, firmware=firmware, cipher=cipher)
-        out.print(f"{count} packets in {target}", soft_wrap=True)
+        tell({"packets": count, "file": str(target)}, f"{count} packets in {target}")
         return status(flight)
     return ExitCode.OK
 
@@ -181,17 +188,12 @@ def frames(
     *,
     key_file: KeyFile = None,
     firmware: AsFlown = None,
-    json: AsJson = None,
 ) -> int:
     """Print every frame as ``m100link decode`` does, and where bytes were lost."""
     cipher = None if key_file is None else Cipher(read_key(key_file))
-    as_json = wants_json(json)
     flight = read(file)
     for frame in read_frames(flight, firmware=firmware, cipher=cipher):
-        if as_json:
-            print_json(frame)
-        else:
-            out.print(_line(frame), soft_wrap=True, markup=False)
+        tell(frame, _line(frame))
     return status(flight)
 
 
@@ -209,7 +211,7 @@ def _line(frame: dict[str, Any]) -> str:
     )
 
 
-def compare_files(first: Log, second: Log, /, *, json: Json = False) -> int:
+def compare_files(first: Log, second: Log, /) -> int:
     """Compare two flights: durations, maxima, tracks, line, commands, alarms.
 
     Each track counts from its own take-off point and time.
@@ -220,7 +222,7 @@ def compare_files(first: Log, second: Log, /, *, json: Json = False) -> int:
             flights.append(flight)
             stories.append(read_story(flight))
     found = compare(*stories)
-    if json:
+    if as_json():
         shown = asdict(found) | {"mean_apart_m": found.mean_apart_m}
         shown["apart"] = [one._asdict() for one in found.apart]
         shown["values"] = [asdict(one) | {"by": one.by} for one in found.values]
@@ -276,7 +278,7 @@ def plot(file: Log, /, *, output: Output = None, firmware: AsFlown = None) -> in
     with reading(file, passes=2) as flight:
         story = read_story(flight, firmware=firmware)
     write_new(target, _drawn(story, target))
-    out.print(f"drawn into {target}", soft_wrap=True)
+    tell({"file": str(target)}, f"drawn into {target}")
     return status(flight)
 
 
@@ -359,6 +361,7 @@ async def record(
     place = link.place(url)
     recorder = Recorder(output, rate_hz=rate)
     lost: LinkError | None = None
+    size = 0
     ended = asyncio.Event()  # by SIGTERM, or a closed terminal
     when_signalled(ended.set, "SIGTERM", "SIGHUP")
     try:
@@ -370,7 +373,8 @@ async def record(
     finally:
         await recorder.aclose()
         if recorder.path.exists():  # where nothing was heard, nothing is left
-            err.print(f"{recorder.path}: {recorder.path.stat().st_size:,} bytes")
+            size = recorder.path.stat().st_size
+            err.print(f"{recorder.path}: {size:,} bytes")
     if recorder.failure is not None:
         raise UsageError(
             f"recording ended early: {recorder.failure}",
@@ -378,6 +382,7 @@ async def record(
         )
     if lost is not None:
         raise lost
+    tell({"file": str(recorder.path), "bytes": size})
 
 
 async def _lost_or(aircraft: Aircraft, ended: asyncio.Event) -> LinkError | None:
@@ -394,14 +399,14 @@ async def _lost_or(aircraft: Aircraft, ended: asyncio.Event) -> LinkError | None
 
 
 @app.command
-def info(file: Log, /, *, firmware: AsFlown = None, json: Json = False) -> int:
+def info(file: Log, /, *, firmware: AsFlown = None) -> int:
     """Summarize a log: time, duration, phases, holders of control, alarms, maxima.
 
     The exit status is 0 whatever happened on the flight, and 1 for a damaged file.
     """
     with reading(file, passes=4) as flight:
         summary, story = flight.summary(), read_story(flight, firmware=firmware)
-    if json:
+    if as_json():
         spans = {name: [one._asdict() for one in getattr(story, name)] for name in _SPANS}
         maxima = {"maxima": asdict(story.maxima), "ended": story.ended}
         line = {"line": story.line, "lost_share": story.lost_share}
@@ -435,7 +440,7 @@ def info(file: Log, /, *, firmware: AsFlown = None, json: Json = False) -> int:
 
 
 @app.command(name="report")
-def report_file(file: Log, /, *, firmware: AsFlown = None, json: Json = False) -> int:
+def report_file(file: Log, /, *, firmware: AsFlown = None) -> int:
     """Tell a flight in sentences: holders of control, orders and outcomes, and the end.
 
     In brackets is what the aircraft did then, by its telemetry: place from the take-off point,
@@ -449,25 +454,29 @@ def report_file(file: Log, /, *, firmware: AsFlown = None, json: Json = False) -
         said = report(flight, story, firmware=firmware)
     shown_at = -1.0
     for one in said:
-        if json:
+        if as_json():
             print_json(one._asdict() | {"flown": one.flown._asdict()})
             continue
         flown = str(one.flown) if one.at_s - shown_at >= 0.1 else ""
         shown_at = one.at_s if flown else shown_at
         text = f"{one.at_s:9.2f} s  {one.text}" + (f"\n{'':13}[{flown}]" if flown else "")
         out.print(text, markup=False, soft_wrap=True, highlight=False)
-    if not json:
+    if not as_json():
         out.print(f"line: {line_quality(story)}", markup=False, soft_wrap=True)
     return status(flight)
 
 
 @app.command
 def events(file: Log, /) -> int:
-    """Print the events as JSON lines: commands, answers, authority, connection."""
+    """Print the events: commands, answers, authority, connection."""
     flight = read(file)
     for message in flight.messages(COMMAND, EVENT):
-        times = {"utc": round(message.utc, 6), "at": round(message.at, 6)}
-        print_json(times | message.content())
+        times, content = (
+            {"utc": round(message.utc, 6), "at": round(message.at, 6)},
+            message.content(),
+        )
+        words = ", ".join(f"{name}={value}" for name, value in content.items())
+        tell(times | content, f"{message.at:>11.3f} {words}")
     return status(flight)
 
 
@@ -481,11 +490,10 @@ def share_file(file: Log, /, *, output: Output = None, firmware: AsFlown = None)
     target = output or file.with_stem(f"{file.stem}-shared")
     with reading(file, passes=4) as flight, new_file(target) as stream:
         removed = share(flight, stream, firmware=firmware)
-    out.print("removed, or changed as it says:")
     streams = "bytes sent, and those received but telemetry", "all"
-    for what, count in [*sorted(removed.items()), streams]:
-        out.print(f"  {count:>8}  {what}", markup=False)
-    out.print(f"the copy is {target}", markup=False, soft_wrap=True)
+    lines = [f"  {count:>8}  {what}" for what, count in [*sorted(removed.items()), streams]]
+    facts = {"removed": dict(removed), "file": str(target)}
+    tell(facts, "removed, or changed as it says:", *lines, f"the copy is {target}")
     return status(flight)
 
 
@@ -498,5 +506,5 @@ def recover_file(file: Log, /, *, output: Output = None) -> int:
     """
     target = output or file.with_stem(f"{file.stem}-recovered")
     saved = recover(file, target)
-    out.print(f"{saved} messages saved in {target}", soft_wrap=True)
+    tell({"messages": saved, "file": str(target)}, f"{saved} messages saved in {target}")
     return status(read(file))

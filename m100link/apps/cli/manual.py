@@ -32,8 +32,8 @@ from rich.text import Text
 import m100link
 from m100link.apps.cli.common import err, out
 from m100link.apps.cli.configuration import Configuration, read_configuration, shown
-from m100link.apps.cli.options import AsJson, offered
-from m100link.apps.cli.terminal import ExitCode, print_json, wants_json
+from m100link.apps.cli.options import offered
+from m100link.apps.cli.terminal import ExitCode, OutputFormat, as_json, tell, tell_text
 from m100link.apps.station.config import resolve
 from m100link.errors import M100Error, UsageError
 
@@ -137,20 +137,19 @@ def _page_of(pages: list[_Page], topic: str) -> _Page:
 
 
 def _list(pages: list[_Page]) -> int:
-    if not sys.stdout.isatty():
-        for page in pages:
-            sys.stdout.write(f"{page.topic}\t{page.title}\n")
-        return ExitCode.OK
     for heading, below in groupby(pages, lambda page: page.heading):
-        out.print(f"\n{heading}", style="bold", markup=False)
+        head = f"\n{heading}\n"
         for page in below:
-            out.print(f"  {page.topic:<22}{page.title}", markup=False)
-    out.print("\nm100link docs TOPIC shows a page, m100link docs --find WORD searches all of them.")
+            facts = {"topic": page.topic, "title": page.title, "part": page.heading}
+            tell(facts, f"{head}  {page.topic:<22}{page.title}")
+            head = ""
+    if not as_json():
+        out.print("\nm100link docs TOPIC shows a page, docs --find WORD searches all of them.")
     return ExitCode.OK
 
 
 def _find(pages: list[_Page], topic: str | None, wanted: str) -> int:
-    words, found = wanted.lower().split(), list[str]()
+    words, found = wanted.lower().split(), list[tuple[str, str, str]]()
     for page in pages if topic is None else [_page_of(pages, topic)]:
         heading = page.title
         for block in re.split(r"\n\s*\n", page.text):  # words of a sentence stand on several lines
@@ -158,9 +157,10 @@ def _find(pages: list[_Page], topic: str | None, wanted: str) -> int:
             heading = (headed[1] or headed[2]) if headed else heading
             if all(word in block.lower() for word in words):
                 lines = [one for one in block.splitlines() if any(w in one.lower() for w in words)]
-                found += [f"{page.topic}: {line.strip()} [{heading}]" for line in lines]
-    for line in found:
-        out.print(line, markup=False, soft_wrap=True)
+                found += [(page.topic, line.strip(), heading) for line in lines]
+    for where, line, heading in found:
+        facts = {"topic": where, "line": line, "heading": heading}
+        tell(facts, f"{where}: {line} [{heading}]")
     if not found:
         where = "that page" if topic else "the manual"
         err.print(f"no paragraph of {where} has {wanted!r}", markup=False)
@@ -168,8 +168,8 @@ def _find(pages: list[_Page], topic: str | None, wanted: str) -> int:
 
 
 def _show(page: _Page) -> None:
-    if not sys.stdout.isatty():
-        sys.stdout.write(page.printed(_WIDEST, in_colour=False))
+    if not sys.stdout.isatty() or OutputFormat.json:
+        tell_text(page.printed(_WIDEST, in_colour=False))
         return
     import pydoc
 
@@ -212,14 +212,14 @@ def _show_error(code: str) -> int:
             f"no error has the code {code}",
             remedy=f"did you mean {' or '.join(near)}?" if near else "m100link docs errors",
         )
-    for title, text in (
-        (code.upper(), f"{kind.__name__}, a kind of {kind.__bases__[0].__name__}"),
-        ("says", (inspect.getdoc(kind) or "").partition("\n\n")[0].replace("\n", " ")),
-        ("usual cause", kind.usual_cause),
-        ("what to do", kind.usual_remedy),
-    ):
-        out.print(f"{title}: {text}", markup=False, soft_wrap=True)
-    return ExitCode.OK
+    facts = {
+        "code": code.upper(),
+        "class": f"{kind.__name__}, a kind of {kind.__bases__[0].__name__}",
+        "says": (inspect.getdoc(kind) or "").partition("\n\n")[0].replace("\n", " "),
+        "usual_cause": kind.usual_cause,
+        "what_to_do": kind.usual_remedy,
+    }
+    return tell(facts, *(f"{one.replace('_', ' ')}: {text}" for one, text in facts.items()))
 
 
 # -- what only the builder of the manual can make, in words ---------------------------------------
@@ -325,12 +325,11 @@ def completion(
     from m100link.apps.cli.app import app
 
     shell = shell or _detected()
-    if install:
-        place = app.install_completion(shell=shell)
-        sys.stderr.write(f"written to {place}; the next {shell} completes m100link\n")
-    else:
-        sys.stdout.write(app.generate_completion(shell=shell))
-    return ExitCode.OK
+    if not install:
+        return tell_text(app.generate_completion(shell=shell))
+    place = app.install_completion(shell=shell)
+    words = f"written to {place}; the next {shell} completes m100link"
+    return tell({"file": str(place), "shell": shell}, words)
 
 
 def _detected() -> Shell:
@@ -375,27 +374,20 @@ def config(
         offered(lambda: read_configuration().aircraft),
     ] = None,
     /,
-    *,
-    json: AsJson = None,
 ) -> int:
     """Show the configuration file and the settings in force."""
     configuration = read_configuration()
     for name in configuration.aircraft:  # tell mistakes now, not before a flight
         resolve({"url": name}, {}, of_aircraft=configuration.sources_of_station)
     in_force = _in_force(configuration, aircraft)
-    if wants_json(json):
-        print_json(
-            {
-                "path": str(configuration.path),
-                "exists": configuration.exists,
-                "default": configuration.default,
-                "aircraft": {name: one["url"] for name, one in configuration.aircraft.items()},
-                "in_force": in_force,
-            }
-        )
-    else:
-        _print(configuration, in_force)
-    return ExitCode.OK
+    facts = {
+        "path": str(configuration.path),
+        "exists": configuration.exists,
+        "default": configuration.default,
+        "aircraft": {name: one["url"] for name, one in configuration.aircraft.items()},
+        "in_force": in_force,
+    }
+    return tell(facts, lambda: _print(configuration, in_force))
 
 
 def _in_force(configuration: Configuration, aircraft: str | None) -> dict[str, dict[str, Any]]:

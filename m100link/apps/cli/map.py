@@ -23,10 +23,9 @@ from urllib.parse import urlsplit
 from cyclopts import Parameter, validators
 
 import m100link
-from m100link.apps.cli.common import out
-from m100link.apps.cli.options import Above0, AsJson, Counted, attribute_texts, group
+from m100link.apps.cli.options import Above0, Counted, attribute_texts, group
 from m100link.apps.cli.plan import degrees
-from m100link.apps.cli.terminal import ExitCode, print_json, wants_json
+from m100link.apps.cli.terminal import tell
 from m100link.apps.station.config import Settings
 from m100link.apps.station.web.tiles import (
     MOST_BYTES,
@@ -125,7 +124,6 @@ def download(
     max_zoom: Zoom = 19,
     most: Annotated[int, Counted] = 5000,
     tiles: Tiles = None,
-    json: AsJson = None,
 ) -> int:
     """Fetch the tiles of an area, from a server that you name, into the file of the console's map.
 
@@ -171,12 +169,8 @@ def download(
                 sys.stderr.write("\n")
                 if count["stored"] or count["present"]:
                     _describe(file, licence)
-    if wants_json(json):
-        print_json({"file": str(path), "attribution": licence, **count})
-    else:
-        done = ", ".join(f"{number} {name}" for name, number in count.items())
-        out.print(f"{path}: {done}", markup=False)
-    return ExitCode.OK
+    done = ", ".join(f"{number} {name}" for name, number in count.items())
+    return tell({"file": str(path), "attribution": licence, **count}, f"{path}: {done}")
 
 
 def _server_of(url: str) -> str:

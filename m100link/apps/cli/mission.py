@@ -27,8 +27,16 @@ from m100link.apps.cli.common import (
 from m100link.apps.cli.display import Point, track_plot
 from m100link.apps.cli.flight import activated, in_control
 from m100link.apps.cli.options import OUTPUT, Force, Yes, group
-from m100link.apps.cli.plan import File, FileOptions, PlanFile, TakeOff, read_plan, require_free
-from m100link.apps.cli.terminal import ExitCode, ReaderGone, print_json
+from m100link.apps.cli.plan import (
+    File,
+    FileOptions,
+    PlanFile,
+    TakeOff,
+    read_plan,
+    require_free,
+    write_plan,
+)
+from m100link.apps.cli.terminal import ExitCode, ReaderGone, as_json, tell
 from m100link.errors import UsageError
 from m100link.flight.control import Control
 from m100link.flight.guards import Guards
@@ -44,7 +52,6 @@ from m100link.flight.missions.events import (
 )
 from m100link.flight.missions.waypoint import WaypointFlight
 from m100link.geodesy import LocalFrame
-from m100link.missions import document
 from m100link.missions.plan import AtEnd, WaypointPlan
 from m100link.protocol.commands.missions import MissionStatus
 from m100link.protocol.records import FlightPhase, Position
@@ -149,7 +156,9 @@ class _Show:
         self._has_begun = self._is_finished = False
         self._line = "uploading"
         self._live = (
-            Live(console=out, refresh_per_second=4, transient=True) if sys.stdout.isatty() else None
+            Live(console=out, refresh_per_second=4, transient=True)
+            if sys.stdout.isatty() and not as_json()
+            else None
         )
 
     @asynccontextmanager
@@ -191,7 +200,7 @@ class _Show:
             words = f"{event.distance_m:.0f} m to waypoint {event.index}, {event.elapsed:.0f} s"
         self._line = f"{self._bar(done)} {done} of {total}  {words}"
         if self._live is None:
-            print_json({"event": event_name(event)} | asdict(event))
+            tell({"event": event_name(event)} | asdict(event), words)
         elif isinstance(event, MissionProgress):
             self._draw()
         else:
@@ -278,7 +287,9 @@ async def stop(url: Url = None, /, *, options: AircraftOptions = AS_SET) -> None
     """Stop the mission that flies, also one of another program; the aircraft hovers."""
     async with in_control(options.place(url)) as (_, control):
         kind = await control.stop_mission()
-        out.print("no mission flies" if kind is MissionKind.NONE else f"stopped: {kind.value}")
+        is_none = kind is MissionKind.NONE
+        words = "no mission flies" if is_none else f"stopped: {kind.value}"
+        tell({"stopped": None if is_none else kind.value}, words)
 
 
 async def _going_on(
@@ -288,7 +299,7 @@ async def _going_on(
     async with flight as (_, control):
         kind = await act(control)
         control.detach_mission()  # giving authority back would break it off
-        out.print(done.format(kind.value))
+        tell({done.partition(":")[0]: kind.value}, done.format(kind.value))
 
 
 @app.command
@@ -327,8 +338,4 @@ async def download(
 
     async with activated(place) as aircraft:
         plan = await aircraft.download_waypoint_plan()
-    text = plan.to_qgroundcontrol() if document.is_named_plan(output) else plan.to_json()
-    if output == "-":
-        sys.stdout.write(text)
-    else:
-        document.write(output, text)
+    write_plan(plan, output)

@@ -38,17 +38,6 @@ Counted = Parameter(validator=validators.Number(gte=1))
 
 # -- options that several verbs have: one spelling and one sentence each ---------------------------
 
-_JSON = Parameter(
-    name="--json",
-    negative="--table",
-    help="Print JSON, one object per line, or text.",
-    show_default=lambda default: "JSON in a pipe" if default is None else "text",
-)
-AsJson = Annotated[bool | None, _JSON]
-"""Without it, a pipe gets JSON and a terminal gets text."""
-Json = Annotated[bool, _JSON]
-"""Without it, both get text."""
-
 _DURATION = Parameter(validator=_above_0, help="Seconds until the command ends by itself.")
 AtMost = Annotated[float | None, _DURATION]
 Duration = Annotated[float, _DURATION]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import sys
 from collections.abc import Callable, Iterator
@@ -11,8 +12,8 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from m100link.apps.cli.options import Above0, AsJson, Force, group
-from m100link.apps.cli.terminal import ExitCode, print_json, wants_json
+from m100link.apps.cli.options import Above0, Force, group
+from m100link.apps.cli.terminal import ExitCode, tell, tell_text
 from m100link.errors import BadPlan, UsageError
 from m100link.geodesy import LocalFrame
 from m100link.missions import document
@@ -125,7 +126,6 @@ def check(
     *,
     file: FileOptions | None = None,
     reckoning: EstimateOptions | None = None,
-    json: AsJson = None,
 ) -> int:
     """Check a plan: its faults and surprises, its length and duration.
 
@@ -133,39 +133,35 @@ def check(
     value that the aircraft cannot fly; without one, every distance between waypoints that it cannot
     fly. Of a file that it cannot read it names the first mistake.
     """
-    as_json = wants_json(json)
     reckoning = reckoning or EstimateOptions()
     place = reckoning.place
     try:
         found = read_plan(plan, file)
     except BadPlan as error:
-        if as_json:
-            print_json({"ok": False, "problems": [_problem(one) for one in error.problems]})
-        else:
-            for one in error.problems:
-                _say(f"✗ {one.seen}", f"  {one.remedy}" if one.remedy else "")
+        lines = [f"✗ {one.seen}" + f"\n  {one.remedy}" * bool(one.remedy) for one in error.problems]
+        tell({"ok": False, "problems": [_problem(one) for one in error.problems]}, *lines)
         return ExitCode.USAGE
     made = reckoning.of(found)
     first = found.waypoints[0]
     near = place or (first.latitude_deg, first.longitude_deg)
-    facts = {
-        "waypoints": len(found.waypoints),
-        "lowest_m": found.heights[0],
-        "highest_m": found.heights[1],
-        "farthest_m": round(found.farthest_m(*near), 2),
-    }
-    if as_json:
-        checked = {"ok": True, "problems": [], "remarks": found.remarks()}
-        print_json(checked | facts | {"estimate": asdict(made)})
-        return ExitCode.OK
-    _say(*(f"! {remark}" for remark in found.remarks()))
     low, high = found.heights
-    _say(
+    facts = {
+        "ok": True,
+        "problems": [],
+        "remarks": found.remarks(),
+        "waypoints": len(found.waypoints),
+        "lowest_m": low,
+        "highest_m": high,
+        "farthest_m": round(found.farthest_m(*near), 2),
+        "estimate": asdict(made),
+    }
+    return tell(
+        facts,
+        *(f"! {remark}" for remark in found.remarks()),
         f"✓ {len(found.waypoints)} waypoints, {f'{low:g} to ' if low < high else ''}{high:g} m "
         f"high, at most {found.farthest_m(*near):.0f} m from {'home' if place else 'the first'}",
         f"  about {made}",
     )
-    return ExitCode.OK
 
 
 def _problem(error: BadPlan) -> dict[str, Any]:
@@ -179,14 +175,6 @@ def _problem(error: BadPlan) -> dict[str, Any]:
     }
 
 
-def _say(*lines: str) -> None:
-    from m100link.apps.cli.common import out
-
-    for line in lines:
-        if line:
-            out.print(line, markup=False)
-
-
 @app.command
 def show(
     plan: PlanFile, /, *, file: FileOptions | None = None, reckoning: EstimateOptions | None = None
@@ -197,11 +185,13 @@ def show(
     reckoning = reckoning or EstimateOptions()
     found = read_plan(plan, file)
     made = reckoning.of(found)
-    width = max(20, min(out.width, 100))
-    _say(*_pictures(found, width), "")
-    out.print(_table(found, is_wide=out.width >= _WIDE))
-    _say("", *_choices(found), f"about {made}", *(f"! {remark}" for remark in found.remarks()))
-    return ExitCode.OK
+    words = *_choices(found), f"about {made}", *(f"! {remark}" for remark in found.remarks())
+    return tell(
+        {"estimate": asdict(made), "remarks": found.remarks()} | json.loads(found.to_json()),
+        lambda: out.print(*_pictures(found, max(20, min(out.width, 100))), sep="\n", markup=False),
+        lambda: out.print("", _table(found, is_wide=out.width >= _WIDE), sep="\n"),
+        lambda: out.print("", *words, sep="\n", markup=False),
+    )
 
 
 def _pictures(plan: WaypointPlan, width: int) -> Iterator[str]:
@@ -298,14 +288,19 @@ def convert(
 def _write(
     plan: WaypointPlan, target: File, to: Literal["json", "plan"] | None, *, force: bool
 ) -> int:
+    if str(target) != "-":
+        require_free(target, force=force)
+    return write_plan(plan, target, to)
+
+
+def write_plan(plan: WaypointPlan, target: File, to: Literal["json", "plan"] | None = None) -> int:
+    """Write a plan in the format of its name; - prints it."""
     kind = to or ("plan" if document.is_named_plan(target) else "json")
     text = plan.to_qgroundcontrol() if kind == "plan" else plan.to_json()
     if str(target) == "-":
-        sys.stdout.write(text)
-        return ExitCode.OK
-    require_free(target, force=force)
+        return tell_text(text, json.loads(text))
     document.write(target, text)
-    return ExitCode.OK
+    return tell({"file": str(target)})
 
 
 def require_free(target: str | Path, *, force: bool) -> None:

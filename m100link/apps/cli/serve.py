@@ -21,14 +21,16 @@ from cyclopts import Parameter
 
 from m100link.apps.cli.common import Ended, err, layer_of_settings, out, places
 from m100link.apps.cli.configuration import read_configuration
-from m100link.apps.cli.options import Json, On, offered
+from m100link.apps.cli.options import On, offered
 from m100link.apps.cli.terminal import (
     AS_IT_IS,
     ExitCode,
     LogOptions,
+    as_json,
     keys_pressed,
     panel,
     print_json,
+    tell,
 )
 from m100link.apps.station.config import ONLY_NAME, Settings, namespace_of, resolve
 from m100link.apps.station.log_output import FlightProgress, log_of, tell_elsewhere
@@ -61,7 +63,6 @@ class RunOptions:
         single_process: Let one process both fly and serve clients: for debugging, not for flight.
     """
 
-    json_output: Json = False
     show_config: bool = False
     single_process: Annotated[bool, _RARE] = False
     log: LogOptions = AS_IT_IS
@@ -82,9 +83,7 @@ async def run_station(
     """Run a station until a signal ends it. Raises UsageError: a setting is missing or wrong."""
     if options.show_config:
         for name, settings in aircraft.items():
-            if len(aircraft) > 1:
-                out.print(f"[{name}]", markup=False)
-            show(settings)
+            show(settings, name)
         return ExitCode.OK
     if with_rosbridge or with_console:
         require_packages()
@@ -96,7 +95,7 @@ async def run_station(
     with FlightProgress("talk", MOST_UNWRITTEN) as teller:
         tell = partial(tell_event, teller, options.log, is_named=len(aircraft) > 1)
         async with _running(aircraft, options, served, tell) as (station, front):
-            announce = partial(_announce, aircraft, station, as_json=options.json_output)
+            announce = partial(_announce, aircraft, station)
             await _are_there(aircraft, station)
             announce()
             leave_what_stays()
@@ -126,15 +125,18 @@ Keys = Callable[[Any, asyncio.Event], contextlib.AbstractContextManager[None]]
 """Takes the running station, and the event that ends it."""
 
 
-def show(settings: Settings) -> None:
-    """Print the settings and where each came from."""
+def show(settings: Settings, aircraft: str) -> None:
+    """Print the settings of an aircraft, and where each came from."""
+    if aircraft != ONLY_NAME and not as_json():
+        out.print(f"[{aircraft}]", markup=False)
     for name in settings.__dataclass_fields__:
         if name in ("origins", "unused"):
             continue
         value = getattr(settings, name)
         shown = "(set)" if name in ("key", "token") and value else value
         source = settings.origins.get(name, "default")
-        out.print(f"{name:14} {shown!s:40} {source}", markup=False, soft_wrap=True)
+        facts = {"aircraft": aircraft, "setting": name, "value": shown, "source": source}
+        tell(facts, f"{name:14} {shown!s:40} {source}")
     _tell_unused(settings)
 
 
@@ -233,13 +235,13 @@ _ALONE = ("console", "metrics", "foxglove")
 """In JSON they are an address and no list of them."""
 
 
-def _announce(aircraft: dict[str, Settings], running: _Station, *, as_json: bool) -> None:
+def _announce(aircraft: dict[str, Settings], running: _Station) -> None:
     settings, sockets = next(iter(aircraft.values())), running.sockets
     served = {name: _urls(settings, sockets, name) for name in sockets.of}
     served |= {"mavlink": sockets.datagram_urls("mavlink")}
     served |= {"ros2": _nodes(aircraft)} if settings.ros2 else {}
     served |= {"console": [_console_url(settings, running)]} if "console" in served else {}
-    if as_json:
+    if as_json():
         facts: dict[str, Any] = {"console": None} if "rosbridge" in served else {}
         for name, urls in served.items():
             if urls:

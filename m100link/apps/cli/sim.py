@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import os
 import secrets
-import sys
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -18,14 +17,15 @@ from rich.text import Text
 
 from m100link.apps.agent.background import when_signalled
 from m100link.apps.cli.common import out, until
-from m100link.apps.cli.options import Above0, AsJson, On, Simulated, group, options_of
+from m100link.apps.cli.options import Above0, On, Simulated, group, options_of
 from m100link.apps.cli.terminal import (
     AS_IT_IS,
     LogOptions,
+    as_json,
     keys_pressed,
     panel,
     print_json,
-    wants_json,
+    tell,
 )
 from m100link.errors import UsageError
 from m100link.link.keyfile import read_key
@@ -164,7 +164,6 @@ class _Plan:
     tcp: tuple[str, int] | None
     scenario: Path | None
     duration: float | None
-    as_json: bool
     seed: int
 
 
@@ -178,7 +177,6 @@ def run(
     speed: float = 1.0,
     scenario: Path | None = None,
     duration: Annotated[float | None, Above0] = None,
-    json_output: AsJson = None,
     registered: RegisteredAppOptions = RegisteredAppOptions(),
     assistant: AssistantOptions = AssistantOptions(),
     faults: FaultOptions = FaultOptions(),
@@ -230,9 +228,8 @@ def run(
         raise
     except ValueError as error:
         raise UsageError(str(error), remedy="m100link sim --help has the values") from error
-    as_json = wants_json(json_output)
     address = None if assistant.tcp is None else _read_address(assistant.tcp)
-    plan = _Plan(aircraft, assistant.link, address, scenario, duration, as_json, seed)
+    plan = _Plan(aircraft, assistant.link, address, scenario, duration, seed)
     with asyncio.Runner(loop_factory=loop_factory(speed)) as runner:
         return runner.run(_serve(plan))
 
@@ -266,7 +263,7 @@ async def _serve(plan: _Plan) -> int:
             for driver in drivers:
                 driver.scenario = Scenario.read(plan.scenario)
         await control.start()
-        if plan.as_json:
+        if as_json():
             print_json(_announcement(plan, ports, control))
             await until(plan.duration, ended.wait())
         else:
@@ -355,25 +352,14 @@ def ctl(
     answer = send_order(list(order), path=socket, aircraft=aircraft)
     if not answer.get("ok"):
         raise UsageError(str(answer.get("error", "no answer")))
-    if sys.stdout.isatty():
-        table = Table.grid(padding=(0, 2))
-        for name, value in answer["status"].items():
-            table.add_row(name, str(value))
-        out.print(table)
-    else:
-        print_json(answer["status"])
-    return 0
+    status = answer["status"]
+    return tell(status, *(f"{name:24} {value}" for name, value in status.items()))
 
 
 def _list_actions() -> None:
-    if not sys.stdout.isatty():
-        for action in ACTIONS.values():
-            sys.stdout.write(f"{action.name} {action.usage}".rstrip() + f"\t{action.help}\n")
-        return
-    table = Table.grid(padding=(0, 2))
     for action in ACTIONS.values():
-        table.add_row(action.name, action.usage, action.help)
-    out.print(table)
+        facts = {"action": action.name, "arguments": action.usage, "does": action.help}
+        tell(facts, f"{action.name:18} {action.usage:36} {action.help}")
 
 
 # -- the live view of ``m100link sim``: what a terminal shows, and what its keys do ----------------

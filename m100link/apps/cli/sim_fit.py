@@ -14,8 +14,8 @@ from rich.table import Table
 
 from m100link.apps.cli.common import err, out
 from m100link.apps.cli.log import cannot_write, new_file, write_new
-from m100link.apps.cli.options import OUTPUT, Json
-from m100link.apps.cli.terminal import ExitCode, print_json
+from m100link.apps.cli.options import OUTPUT
+from m100link.apps.cli.terminal import ExitCode, as_json, print_json
 from m100link.errors import BadSetpoint, UsageError
 from m100link.errors.usage import of_extra
 from m100link.log import read
@@ -237,9 +237,7 @@ Start = Annotated[
 Plot = Annotated[Path | None, Parameter(help="Draw both flights into a new PNG file.")]
 
 
-def compare(
-    *recording: Recorded, airframe: Start = MEASURED, plot: Plot = None, json: Json = False
-) -> int:
+def compare(*recording: Recorded, airframe: Start = MEASURED, plot: Plot = None) -> int:
     """Fly the commands of recorded flights on the virtual aircraft, and print how far it is off.
 
     Each flight begins in its recorded state. Columns: root of the mean square of the difference,
@@ -250,7 +248,7 @@ def compare(
     found = [_flights(path, flown) for path in _named(recording)]
     if plot is not None:
         write_new(plot, _drawn(found))
-    if json:
+    if as_json():
         for name, flights in found:
             print_json(_told(name, airframe, residuals(flights)))
         return ExitCode.OK
@@ -265,7 +263,6 @@ def fit_recordings(
     check: tuple[Path, ...] = (),
     output: Annotated[Path | None, OUTPUT] = None,
     plot: Plot = None,
-    json: Json = False,
 ) -> int:
     """Find the airframe that flies the commands of recorded flights most nearly as they were flown.
 
@@ -293,7 +290,7 @@ def fit_recordings(
     if output is not None:
         with new_file(output) as stream:
             stream.write(_toml(found, airframe, flights).encode())
-    if json:
+    if as_json():
         constants = {one.name: one._asdict() for one in found.found}
         shown = [_told(name, "fitted", residuals(each)) for name, each in flights]
         print_json({"constants": constants, "residuals": shown})

@@ -8,6 +8,7 @@ import math
 import sys
 from csv import DictReader, DictWriter
 from difflib import get_close_matches
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -29,8 +30,8 @@ from m100link.apps.cli.common import (
     until,
 )
 from m100link.apps.cli.display import Items, items_named, line_plot, row
-from m100link.apps.cli.options import Above0, AsJson, AtMost, Counted, Duration, offered
-from m100link.apps.cli.terminal import ExitCode, print_json, wants_json
+from m100link.apps.cli.options import Above0, AtMost, Counted, Duration, offered
+from m100link.apps.cli.terminal import ExitCode, OutputFormat, as_json, print_json, tell
 from m100link.errors import UsageError
 from m100link.errors.usage import unread
 from m100link.protocol.items import BY_RECORD
@@ -71,7 +72,6 @@ async def echo(
     duration: AtMost = None,
     count: Annotated[int | None, Counted] = None,
     csv: bool = False,
-    json: Annotated[AsJson, Parameter(show_default=lambda _: "JSON")] = None,
 ) -> None:
     """Print each telemetry package as a JSON object or a CSV row.
 
@@ -83,9 +83,9 @@ async def echo(
         count: Packages until the command ends by itself.
         csv: Print CSV with a header line, as --table does.
     """
-    if csv and json:
+    if csv and OutputFormat.json:
         raise UsageError("--csv and --json exclude each other", remedy="give one of them")
-    csv = csv or json is False
+    csv = csv or OutputFormat.json is False
     place, names = link.place_among([url or "", *items], _is_item)
     records = items_named(names)
     writer = DictWriter(
@@ -156,13 +156,11 @@ async def hz(
     *,
     link: LinkOptions = BY_LINK,
     duration: Duration = 5.0,
-    json: AsJson = None,
 ) -> None:
     """Measure item rates, jitter and gaps, and the aircraft's clock."""
-    as_json = wants_json(json)
     place = link.place(url)
     async with place.connect() as aircraft:
-        if as_json:
+        if as_json():
             await asyncio.sleep(duration)
         else:
             with Live(console=out, refresh_per_second=4) as live:
@@ -172,7 +170,7 @@ async def hz(
                     live.update(_rates_table(aircraft))
         if aircraft.link.failure is not None:
             raise aircraft.link.failure.again()
-        if as_json:
+        if as_json():
             print_json(_rates(aircraft))
 
 
@@ -314,7 +312,8 @@ async def _plot_live(place: ConnectionOptions, fields: tuple[str, ...], duration
                         points[field].append((sample.received_at, float(value)))
 
     async with place.connect() as aircraft:
-        shown = Live(console=out, refresh_per_second=5) if sys.stdout.isatty() else None
+        shown = None if as_json() else Live(console=out, refresh_per_second=5)
+        shown = shown if sys.stdout.isatty() else None
         with shown or contextlib.nullcontext():
             task = asyncio.ensure_future(until(duration, collect(aircraft)))
             try:
@@ -343,7 +342,9 @@ def _lines(points: dict[str, list[tuple[float, float]]]) -> list[str]:
 
 
 def _draw(points: dict[str, list[tuple[float, float]]]) -> None:
-    out.print(Text("\n".join(_lines(points))))
+    for field, values in points.items():
+        drawn = Text("\n".join(_lines({field: values})))
+        tell({"column": field, "values": values}, partial(out.print, drawn))
 
 
 # -- ``m100link monitor``: what the aircraft says, live --------------------------------------------
@@ -361,16 +362,14 @@ async def monitor(
     *,
     link: LinkOptions = BY_LINK,
     duration: AtMost = None,
-    json: AsJson = None,
 ) -> None:
     """Watch every telemetry item: value, age, measured rate and jitter.
 
     It needs no activation. Ctrl-C ends it.
     """
-    as_json = wants_json(json)
     place = link.place(url)
     async with place.connect() as aircraft:
-        await until(duration, _print_lines(aircraft) if as_json else _show(aircraft))
+        await until(duration, _print_lines(aircraft) if as_json() else _show(aircraft))
         failure = aircraft.link.failure
         if failure is not None:
             raise failure.again()

@@ -223,6 +223,10 @@ _TYPED = {
 """Remedies for a program, and the same for a person at a shell."""
 
 
+LINES = "\n\t"
+"""Characters that text for a terminal keeps, of those that steer it."""
+
+
 class ExitCode:
     """Exit status classes."""
 
@@ -270,14 +274,15 @@ def complain(error: BaseException) -> int:
     # The console takes longer to load than a frame to decode.
     from rich.console import Console
 
-    err = Console(stderr=True, highlight=False)
+    # A line in a pipe stays one, so that no path in it breaks.
+    err = Console(stderr=True, highlight=False, soft_wrap=not sys.stderr.isatty())
     err.print("[bold red]error:[/] ", end="")
     text = str(error)
     for written, typed in _TYPED.items():
         text = text.replace(written, typed)
     if isinstance(error, errors.M100Error):
         text += f"\n  code:         {error.error_code}"
-    err.print(printable(text, keeps="\n\t"), markup=False)
+    err.print(printable(text, keeps=LINES), markup=False)
     return exit_code(error)
 
 
@@ -287,9 +292,37 @@ def print_json(value: Any) -> None:
     sys.stdout.flush()
 
 
-def wants_json(asked: bool | None) -> bool:
-    """The format that was asked for; by default JSON for a pipe, text for a terminal."""
-    return not sys.stdout.isatty() if asked is None else asked
+class OutputFormat:
+    """The format that ``--json`` or ``--table`` asks for, of the verb that runs."""
+
+    json: bool | None = None
+
+
+def as_json() -> bool:
+    """Whether it prints JSON: as was asked for, by default in a pipe."""
+    return not sys.stdout.isatty() if OutputFormat.json is None else OutputFormat.json
+
+
+def tell(facts: dict[str, Any], *shown: str | Callable[[], object]) -> int:
+    """Print an object of JSON, or for people lines and what else is shown."""
+    if as_json():
+        print_json(facts)
+        return ExitCode.OK
+    for one in shown:
+        if callable(one):
+            one()
+        else:
+            sys.stdout.write(f"{printable(one, keeps=LINES)}\n")
+    return ExitCode.OK
+
+
+def tell_text(text: str, facts: dict[str, Any] | None = None) -> int:
+    """Print a text that is itself the result, in a pipe, too; with ``--json`` its facts, or it."""
+    if OutputFormat.json:
+        print_json({"text": text} if facts is None else facts)
+    else:
+        sys.stdout.write(text)
+    return ExitCode.OK
 
 
 def finite(value: Any) -> Any:

@@ -26,6 +26,11 @@ ROOT = Path(__file__).parents[3]
 NEARLY_100 = pytest.approx(100, rel=0.3)
 
 
+_TEXT = {"--table", "--csv", "--help", "--version", "-", "completion", "udev"}
+_TEXTS = {("mission", "download"), ("log", "csv"), ("log", "layout")}
+"""Where a text is itself the result; all else that a verb prints in a pipe is JSON."""
+
+
 class Outcome(NamedTuple):
     """How a command ended and what it said."""
 
@@ -55,6 +60,10 @@ class CommandLine:
         captured = self._capsys.readouterr()
         status = caught.value.code
         assert isinstance(status, int)
+        is_text = _TEXT & set(arguments) or arguments[0] == "docs" or arguments[:2] in _TEXTS
+        if not is_text and not sys.stdout.isatty():
+            for line in captured.out.splitlines():  # of every verb, whatever a test looks for
+                assert (line[:1], line[-1:]) == ("{", "}"), (arguments, line)
         return Outcome(status, captured.out, captured.err)
 
 

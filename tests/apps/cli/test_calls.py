@@ -218,7 +218,8 @@ def test_what_moves(
     aircraft: Any, cli: CommandLine, notes: Notes, words: str, calls: list[str], says: Any
 ) -> None:
     """Metres north, east and up; degrees and seconds. Nobody is asked."""
-    outcome = cli(*shlex.split(words))
+    form = ("--table",) if isinstance(says, str) and "--table" not in words else ()
+    outcome = cli(*shlex.split(words), *form)
     assert outcome.status == 0, outcome
     activated = ACTIVATE if calls != ["timeout"] else "activate(7, level=2, timeout=12.0)"
     assert notes == [CONNECT, activated, *(call for call in calls if call != "timeout")]
@@ -451,7 +452,7 @@ ORDERS = [
 def test_what_a_fleet_is_asked(
     cli: CommandLine, notes: Notes, words: str, calls: list[str], says: str
 ) -> None:
-    outcome = cli("fleet", *words.split())
+    outcome = cli("fleet", *words.split(), "--table")
     assert (outcome.status, notes) == (0, [FLEET, *calls]), outcome
     assert says in outcome.out
 

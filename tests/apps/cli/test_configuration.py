@@ -253,8 +253,8 @@ def test_a_file_that_is_wrong_stops_every_verb_that_has_an_aircraft(
 
 def test_serve_knows_the_aircraft_and_its_own_table(cli: CommandLine, file: Path) -> None:
     rows = {
-        line.split()[0]: line.split(maxsplit=2)[1:]
-        for line in cli("serve", "lab-m100", "--show-config", "--level", "2").out.splitlines()
+        one["setting"]: [str(one["value"]), one["source"]]
+        for one in cli("serve", "lab-m100", "--show-config", "--level", "2").objects
     }
     assert rows["url"] == ["/dev/m100-that-does-not-exist", f"{file} [aircraft.lab-m100]"]
     assert rows["port"] == ["19877", f"{file} [station]"]

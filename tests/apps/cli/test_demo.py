@@ -73,7 +73,7 @@ def test_demo_flies_over_a_pseudo_terminal() -> None:
 
 
 def test_demo_shows_a_summary_and_pictures_to_people(cli: CommandLine) -> None:
-    outcome = cli("demo", "--side", "4", "--speed", "max")
+    outcome = cli("demo", "--side", "4", "--speed", "max", "--table")
     assert outcome.status == 0
     assert "mission flown" in outcome.out
     assert "back within" in outcome.out
@@ -85,14 +85,14 @@ def test_demo_says_where_its_log_is_and_how_to_see_it_again(
     cli: CommandLine, tmp_path: Path
 ) -> None:
     folder = tmp_path / "my flights"
-    outcome = cli("demo", "--side", "1", "--speed", "max", "--record", str(folder))
+    outcome = cli("demo", "--side", "1", "--speed", "max", "--record", str(folder), "--table")
     assert outcome.status == 0
     [path] = folder.iterdir()
     assert f"recorded in {path}" in outcome.out
     assert f"m100link log report '{path}'" in outcome.out
     assert f"m100link replay '{path}'" in outcome.out
     assert read(path).summary().is_whole
-    outcome = cli("demo", "--side", "1", "--speed", "max", "--no-record")
+    outcome = cli("demo", "--side", "1", "--speed", "max", "--no-record", "--table")
     assert outcome.status == 0
     assert "recorded" not in outcome.out
 

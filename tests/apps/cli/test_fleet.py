@@ -23,11 +23,11 @@ import pytest
 from m100link.apps.bus.network import Question
 from m100link.apps.cli.fleet import (
     NO_OPTIONS,
-    FleetOptions,
     Left,
     reported_when_interrupted,
     tell_results,
 )
+from m100link.apps.cli.terminal import OutputFormat
 from m100link.apps.fleet.client import Fleet, connect
 from m100link.apps.fleet.keys import DEFAULT_SITE, Keys
 from m100link.apps.fleet.payloads import Card, Result
@@ -181,17 +181,20 @@ def test_a_command_without_names_asks_for_them(site: Site) -> None:
     assert site.ask("land", "a1", "--all")[0] == 2
 
 
-def test_results_are_reported_with_reason_and_remedy(capsys: pytest.CaptureFixture[str]) -> None:
+def test_results_are_reported_with_reason_and_remedy(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     results = {
         "a1": Result.of("a1", None),
         "a2": Result.of("a2", StaleLease("lease 3 is not in force", remedy="take it")),
     }
+    monkeypatch.setattr(OutputFormat, "json", False)
     assert tell_results(results, NO_OPTIONS) == 1
     told = capsys.readouterr()
     assert "ok" in told.out
     assert "lease 3 is not in force" in told.out
     assert "take it" in told.err
-    assert tell_results({"a1": results["a1"]}, FleetOptions(json_output=True)) == 0
+    assert tell_results({"a1": results["a1"]}, NO_OPTIONS) == 0
 
 
 @pytest.mark.pty

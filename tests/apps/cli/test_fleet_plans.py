@@ -69,7 +69,7 @@ def test_a_flight_that_was_ended_from_here_is_no_success(
     monkeypatch.setattr(fleet_plans, "read_plan", MagicMock())
     monkeypatch.setattr(fleet_plans._Show, "tell", MagicMock(side_effect=ends))
     monkeypatch.setattr(fleet_plans._Show, "stopped", lambda _: "it hovers")
-    options: Any = SimpleNamespace(json_output=False, place="", open=lambda: aircraft)
+    options: Any = SimpleNamespace(place="", open=lambda: aircraft)
     assert fleet_plans.fly("a1", "plan.json", yes=True, options=options) == status
 
 
@@ -164,7 +164,7 @@ def test_a_picture_is_written_and_not_over_another(cli: CommandLine, tmp_path: P
 
 
 def test_a_picture_goes_to_the_terminal_or_to_a_pipe(cli: CommandLine, crossing: str) -> None:
-    drawn = cli("fleet", "show", "preview", FILE).out
+    drawn = cli("fleet", "show", "preview", FILE, "--table").out
     assert all(name in drawn for name in ("a1", "a2", "a3", "a4", "a5"))
     assert "least distance of any two" in drawn
     outcome = cli("fleet", "show", "preview", crossing, "-")

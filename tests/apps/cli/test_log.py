@@ -34,7 +34,8 @@ def flight(cli: CommandLine, tmp_path: Path) -> Path:
     path = tmp_path / "flight.mcap"
     outcome = cli("record", "sim://", "-o", str(path), "--duration", "0.5")
     assert outcome.status == ExitCode.OK
-    assert outcome.out == ""
+    [told] = outcome.objects
+    assert told == {"file": str(path), "bytes": path.stat().st_size}
     assert f"into {path}" in "".join(outcome.err.split("\n"))
     return path
 
@@ -53,12 +54,15 @@ def test_a_log_is_recorded_and_reported(cli: CommandLine, flight: Path) -> None:
     told = [json.loads(one) for one in cli("log", "report", str(flight), "--json").out.splitlines()]
     [phase] = [one["text"] for one in told if one["kind"] == "flight"]
     assert phase.endswith("in phase ground.")
-    assert "  The connection ended: " in cli("log", "report", str(flight)).out
-    assert "[+0.0 m north, +0.0 m east, 0.0 m high, " in cli("log", "report", str(flight)).out
+    assert "  The connection ended: " in cli("log", "report", str(flight), "--table").out
+    assert (
+        "[+0.0 m north, +0.0 m east, 0.0 m high, "
+        in cli("log", "report", str(flight), "--table").out
+    )
     for verb in ("info", "report"):
-        said = cli("log", verb, str(flight)).out
+        said = cli("log", verb, str(flight), "--table").out
         assert "line: 0.0 % of frames lost; 0 frames damaged" in said
-    text = cli("log", "info", str(flight)).out
+    text = cli("log", "info", str(flight), "--table").out
     assert "firmware 1.0" in text
     assert "recover" not in text
 
@@ -92,7 +96,7 @@ def test_what_happened_is_a_line_each(cli: CommandLine, flight: Path) -> None:
 def test_what_was_cut_off_is_reported_and_mended(cli: CommandLine, flight: Path) -> None:
     cut = flight.with_name("cut.mcap")
     cut.write_bytes(flight.read_bytes()[:-400])
-    assert "log recover" in "".join(cli("log", "info", str(cut)).out.split("\n"))
+    assert "log recover" in "".join(cli("log", "info", str(cut), "--table").out.split("\n"))
     assert cli("log", "recover", str(cut)).status == ExitCode.OK
     [told] = cli("log", "info", str(flight.with_name("cut-recovered.mcap")), "--json").objects
     assert told["is_whole"] is True
@@ -235,7 +239,7 @@ def test_a_flight_does_not_differ_from_itself(cli: CommandLine, flight: Path) ->
     [found] = cli("log", "compare", str(flight), str(flight), "--json").objects
     assert {one["by"] for one in found["values"]} <= {0, None}
     assert found["commands"] == found["alarms"] == []
-    text = cli("log", "compare", str(flight), str(flight)).out
+    text = cli("log", "compare", str(flight), str(flight), "--table").out
     assert "commands: the same" in text
 
 

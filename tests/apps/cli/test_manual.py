@@ -25,18 +25,18 @@ NOWHERE = Path("no such folder")
 
 
 def test_every_page_has_a_topic_of_its_own(cli: CommandLine) -> None:
-    rows = [line.split("\t") for line in cli("docs").out.splitlines()]
+    rows = [(one["topic"], one["title"]) for one in cli("docs").objects]
     topics = [topic for topic, _ in rows]
     folders = ("tutorial", "howto", "reference", "explanation")
     written = {path.stem for folder in folders for path in (ROOT / "docs" / folder).glob("*.md")}
     assert len(topics) == len(set(topics))
     assert set(topics) == written - {"index"}
-    assert ["safety", "Safety"] in rows
+    assert ("safety", "Safety") in rows
     assert all(title for _, title in rows)
 
 
 def test_pages_are_listed_as_the_index_of_their_folder_lists_them(cli: CommandLine) -> None:
-    listed = [line.split("\t")[0] for line in cli("docs").out.splitlines()]
+    listed = [one["topic"] for one in cli("docs").objects]
     for folder in ("howto", "reference", "explanation"):
         index = (ROOT / "docs" / folder / "index.md").read_text(encoding="utf-8")
         order = re.findall(r"\]\(([\w-]+)\.md\)", index)
@@ -143,9 +143,9 @@ def test_a_page_that_is_not_there_names_those_that_are_near(cli: CommandLine) ->
 
 
 def test_the_code_of_an_error_shows_what_the_manual_says_of_it(cli: CommandLine) -> None:
-    shown = cli("docs", "m100-link-lost")
+    shown = cli("docs", "m100-link-lost", "--table")
     assert shown.status == 0
-    assert shown.out.splitlines()[0] == "M100-LINK-LOST: LinkLost, a kind of LinkError"
+    assert shown.out.splitlines()[0] == "code: M100-LINK-LOST"
     assert "usual cause: unplugged" in shown.out
     assert "what to do: check cable" in shown.out
     unknown = cli("docs", "M100-LINK-LOSST")
@@ -157,7 +157,7 @@ def test_the_code_of_an_error_shows_what_the_manual_says_of_it(cli: CommandLine)
 def test_words_are_found_with_their_topics(cli: CommandLine) -> None:
     outcome = cli("docs", "--find", "PROPELLERS")
     assert outcome.status == ExitCode.OK
-    assert any(line.startswith("safety: ") for line in outcome.out.splitlines())
+    assert "safety" in {one["topic"] for one in outcome.objects}
     outcome = cli("docs", "wire", "--find", "propellers")
     assert outcome.status == ExitCode.FAILED
     assert outcome.err == "no paragraph of that page has 'propellers'\n"
@@ -166,9 +166,9 @@ def test_words_are_found_with_their_topics(cli: CommandLine) -> None:
 def test_words_of_a_paragraph_are_found_on_several_lines_under_their_heading(
     cli: CommandLine,
 ) -> None:
-    found = cli("docs", "safety", "--find", "serial cmd_vel").out.splitlines()
+    found = cli("docs", "safety", "--find", "serial cmd_vel").objects
     assert len(found) >= 2
-    assert {line.rpartition(" [")[2] for line in found} == {"When two programs send]"}
+    assert {one["heading"] for one in found} == {"When two programs send"}
     assert cli("docs", "safety", "--find", "serial no-such-word").status == ExitCode.FAILED
 
 
@@ -179,7 +179,7 @@ def test_pages_that_the_builder_made_are_shown_as_they_are(
     page.parent.mkdir(parents=True)
     page.write_text("Activate\n********\n\n   *as it is*\n")
     monkeypatch.setattr(m100link, "__file__", str(tmp_path / "m100link" / "__init__.py"))
-    assert cli("docs").out == "activate\tActivate\n"
+    assert cli("docs").objects == [{"topic": "activate", "title": "Activate", "part": "Howto"}]
     assert cli("docs", "activate").out == page.read_text()
     page.unlink()
     assert "this installation has no manual" in cli("docs").err
@@ -321,7 +321,7 @@ def test_it_is_installed_where_the_shell_looks(
     monkeypatch.setenv("HOME", str(tmp_path))
     outcome = cli("completion", "bash", "--install")
     assert outcome.status == ExitCode.OK
-    place = outcome.err.partition("written to ")[2].partition(";")[0]
+    place = outcome.objects[0]["file"]
     assert Path(place).read_text().count("takeoff") > 1
     assert place in (tmp_path / ".bashrc").read_text()
 

@@ -138,7 +138,7 @@ def test_what_is_asked_wrongly_is_a_usage_error(
 def test_a_plan_is_shown_from_above_from_the_side_and_as_a_table(
     cli: CommandLine, file: str
 ) -> None:
-    outcome = cli("plan", "show", file)
+    outcome = cli("plan", "show", file, "--table")
     assert outcome.status == ExitCode.OK
     lines = outcome.out.splitlines()
     [north, heights, table] = [
@@ -163,7 +163,7 @@ def test_a_level_plan_has_no_profile_and_other_choices_their_words(
 ) -> None:
     points = [Waypoint(1, 1, 9, damping=3), Waypoint(1.001, 1, 9)]
     WaypointPlan(points, repeat=2, speed=0).write(file)
-    shown = cli("plan", "show", file).out
+    shown = cli("plan", "show", file, "--table").out
     assert "┤" not in shown
     assert "heading" not in shown
     assert "corner 3 m" in shown
@@ -176,11 +176,9 @@ def test_forty_columns_are_enough(
     cli: CommandLine, file: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(out, "width", 40)
-    lines = cli("plan", "show", file).out.splitlines()
+    lines = cli("plan", "show", file, "--table").out.splitlines()
     assert max(map(len, lines)) <= 40
     assert "latitude" not in "\n".join(lines)
-    lines = cli("plan", "check", file, "--table").out.splitlines()
-    assert max(map(len, lines)) <= 40
 
 
 def test_a_terminal_without_unicode_and_a_reader_that_leaves(file: str) -> None:

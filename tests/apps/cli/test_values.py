@@ -36,7 +36,7 @@ from m100link.apps.cli import (
     telemetry,
 )
 from m100link.apps.cli.mission import event_name, event_words
-from m100link.apps.cli.terminal import ExitCode, ReaderGone
+from m100link.apps.cli.terminal import ExitCode, OutputFormat, ReaderGone
 from m100link.apps.doctor import Finding, Stage, Verdict
 from m100link.apps.doctor.first_contact import Observation, Topic
 from m100link.apps.fleet.logs.fetching import Fetched
@@ -169,7 +169,7 @@ async def test_rates_are_packages_a_second(capsys: pytest.CaptureFixture[str]) -
 
         place = SimpleNamespace(connect=connect)
         link: Any = SimpleNamespace(place_among=lambda words, is_one: (place, words))
-        await flight.rates("attitude=10", "battery=1", "rc=0", link=link, json=True)
+        await flight.rates("attitude=10", "battery=1", "rc=0", link=link)
     assert '"quaternion": 10.0,' in (told := capsys.readouterr().out)
     assert '"position": 100.0,' in told
     assert '"rc": 0.0,' in told
@@ -682,9 +682,14 @@ def test_a_fleet_is_printed_with_what_was_heard() -> None:
     ],
 )
 def test_a_log_that_is_here_says_how_much_of_it_came(
-    capsys: pytest.CaptureFixture[str], came: int, is_written: bool, told: str
+    capsys: pytest.CaptureFixture[str],
+    came: int,
+    is_written: bool,
+    told: str,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    shown = fleet_verbs._Shown(is_quiet=False)
+    monkeypatch.setattr(OutputFormat, "json", False)
+    shown = fleet_verbs._Shown()
     shown.listener("a1")(4000, 9000)
     shown.listener("a2")(1000, 9000)
     shown.done(Fetched("a1", "one.mcap", Path("a1-one.mcap"), 9000, came, is_written))
@@ -737,7 +742,7 @@ LEFT: list[tuple[list[Any], Any, AtEnd, str]] = [
 def test_what_a_command_leaves_of_a_mission_of_a_fleet(
     events: list[Any], flown: Any, at_end: AtEnd, told: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    show = fleet_plans._Show("a1", short_plan(at_end=at_end), as_json=True)
+    show = fleet_plans._Show("a1", short_plan(at_end=at_end))
     for event in events:
         show.tell(event)
     assert capsys.readouterr().out.count('"name": "a1"') == len(events)
@@ -792,13 +797,13 @@ def said(monkeypatch: pytest.MonkeyPatch) -> Any:
     ],
 )
 def test_how_far_a_task_is(said: Any, phase: Any, height_m: Any, shown: str) -> None:
-    flight._tell(TaskProgress(Task.TAKE_OFF, 12.34, phase, height_m, None))
+    flight._show(TaskProgress(Task.TAKE_OFF, 12.34, phase, height_m, None))
     assert said() == [shown]
 
 
 def test_nothing_is_shown_where_nobody_looks(said: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys.stderr, "isatty", lambda: False, raising=False)
-    flight._tell(TaskProgress(Task.LAND, 1.0, None, None, None))
+    flight._show(TaskProgress(Task.LAND, 1.0, None, None, None))
     assert said() == []
 
 
@@ -1139,8 +1144,14 @@ def test_a_column_that_there_is_not_is_named_with_those_that_are(
     ],
 )
 def test_a_file_is_plotted_or_its_line_is_named(
-    said: Any, tmp_path: Path, text: str | None, status: Any, told: str
+    said: Any,
+    tmp_path: Path,
+    text: str | None,
+    status: Any,
+    told: str,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.setattr(OutputFormat, "json", False)
     path = tmp_path / "flight.csv"
     if text is not None:
         path.write_text(text)
