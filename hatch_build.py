@@ -1,15 +1,13 @@
-"""The manual in the wheel, for `m100link docs`.
+"""What a wheel has beside the modules: the manual for `m100link docs`, and the commit it is of.
 
-Where Sphinx is installed (`nox -s build`) the pages are made as text, with every table and class in
-them. In the environment that pip makes to install from a source tree it is not: the pages are then
-taken as they are written, and the command makes their tables by the modules of docs/_ext.
+The pages are packed as they are written, whatever is installed where the wheel is built; the
+command makes their tables by the modules of docs/_ext. The source archive keeps the commit in a
+file of its own, because a wheel that is built of it sees no repository.
 """
 
 from __future__ import annotations
 
-import importlib.util
 import subprocess
-import sys
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -17,31 +15,40 @@ from typing import Any
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 PLACE = "m100link/manual"
-FOLDERS = ("tutorial", "howto", "reference", "explanation")
-PROGRAM = "examples/first_flight.py"  # which a page shows
+COMMIT = "COMMIT"
+PAGES = ("docs/*/*.md", "docs/_ext/*.py", "examples/first_flight.py")  # a page shows the program
+LEFT_OUT = "docs/project/"
 
 
 class Manual(BuildHookInterface[Any]):
-    """Adds the pages to what is packed."""
+    """Adds them to what is packed."""
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
-        """Called before a wheel is packed; an editable one finds the pages where they are."""
+        """Called before anything is packed; an editable install finds all where it is."""
         if version == "editable":
             return
-        source = Path(self.root) / "docs"
-        suffix = ".md"
-        build_data["force_include"][str(Path(self.root) / PROGRAM)] = f"{PLACE}/{PROGRAM}"
-        if importlib.util.find_spec("sphinx") and importlib.util.find_spec("myst_parser"):
-            made = tempfile.mkdtemp()
-            command = ("-m", "sphinx", "-q", "-b", "text", "-d", f"{made}/.doctrees")
-            subprocess.run([sys.executable, *command, str(source), f"{made}/text"], check=True)
-            source, suffix = Path(made) / "text", ".txt"
-        for table in () if suffix == ".txt" else sorted((source / "_ext").glob("*.py")):
-            build_data["force_include"][str(table)] = f"{PLACE}/_ext/{table.name}"
-        for folder in FOLDERS:
-            index = Path(self.root) / "docs" / folder / "index.md"  # `m100link docs` lists by it
-            if index.exists():
-                build_data["force_include"][str(index)] = f"{PLACE}/{folder}/index.md"
-            for page in sorted((source / folder).glob(f"*{suffix}")):
-                if page.stem != "index":
-                    build_data["force_include"][str(page)] = f"{PLACE}/{folder}/{page.name}"
+        root = Path(self.root)
+        kept = Path(tempfile.mkdtemp()) / COMMIT
+        kept.write_text(commit(root), encoding="utf-8")
+        is_wheel = self.target_name == "wheel"
+        packed = build_data["force_include"]
+        packed[str(kept)] = f"{PLACE}/{COMMIT}" if is_wheel else COMMIT
+        for path in (path for one in PAGES if is_wheel for path in sorted(root.glob(one))):
+            place = path.relative_to(root).as_posix()
+            if not place.startswith(LEFT_OUT):
+                packed[str(path)] = f"{PLACE}/{place.removeprefix('docs/')}"
+
+
+def commit(root: Path) -> str:
+    """The commit of this tree, with a + if it was changed; empty where nothing says it."""
+    kept = root / COMMIT
+    if kept.exists():
+        return kept.read_text(encoding="utf-8")
+    if not (root / ".git").exists():
+        return ""
+    asked = ("git", "describe", "--always", "--exclude=*", "--abbrev=12", "--dirty=+")
+    try:
+        told = subprocess.run(asked, cwd=root, capture_output=True, text=True, check=False)
+    except OSError:  # there is no git here
+        return ""
+    return told.stdout.strip()

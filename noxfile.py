@@ -279,8 +279,7 @@ tool("fuzz", FUZZ, "tests.fuzz.run")
 tool("soak", SOAK, "tests.soak.run")
 tool("thousand", THOUSAND, "tests.soak.fleet")
 tool("bench", BENCH, "benchmarks", groups="bench browser uvloop")
-# What Sphinx needs is here, so that the manual in the wheel has every table and class.
-tool("build", BUILD, "tests.release", groups="release docs")
+tool("build", BUILD, "tests.release", groups="release")
 
 
 @nox.session(python="3.14" if shutil.which("python3.14") else None, default=False)

@@ -20,8 +20,18 @@ import zipfile
 from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
-PAGES = {"LICENSE", "README.md", "noxfile.py", "CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md"}
+PAGES = {
+    "LICENSE",
+    "README.md",
+    "COMMIT",
+    "noxfile.py",
+    "CHANGELOG.md",
+    "CONTRIBUTING.md",
+    "SECURITY.md",
+}
 """What the source archive has beside the programs."""
+MANUAL = {"m100link/manual/explanation/safety.md", "m100link/manual/COMMIT"}
+"""What `m100link docs` and `m100link --version` read, of what a wheel has."""
 INSTALLED = {"anyio", "cryptography", "pyserial-asyncio"}
 """What every installation has."""
 
@@ -70,9 +80,7 @@ def complaints(in_wheel: list[str], in_archive: list[str], components: list[str]
     found = {
         "the wheel has no py.typed": "m100link/py.typed" not in in_wheel,
         f"the wheel holds more than the package: {strangers}": strangers,
-        "the wheel has no manual, or one that Sphinx did not make": (
-            "m100link/manual/explanation/safety.txt" not in in_wheel
-        ),
+        f"the wheel lacks {MANUAL - set(in_wheel)}": MANUAL - set(in_wheel),
         f"the source archive lacks {missing}": missing,
         f"the bill of materials lacks {INSTALLED - set(components)}": INSTALLED - set(components),
     }

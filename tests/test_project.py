@@ -5,14 +5,17 @@ from __future__ import annotations
 import ast
 import asyncio
 import importlib.resources
+import importlib.util
 import inspect
 import os
 import re
 import shutil
 import stat
 import subprocess
+import sys
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -138,11 +141,7 @@ def test_nox_alone_checks_every_kind_and_full_runs_every_test() -> None:
     assert kinds(program) == default | full
 
 
-WHOLE = [
-    "m100link/py.typed",
-    "m100link/manual/explanation/safety.txt",
-    "m100link-1.dist-info/METADATA",
-]
+WHOLE = ["m100link/py.typed", *sorted(release.MANUAL), "m100link-1.dist-info/METADATA"]
 
 
 @pytest.mark.parametrize(
@@ -151,7 +150,8 @@ WHOLE = [
         (WHOLE, release.PAGES, release.INSTALLED, []),
         (WHOLE[1:], release.PAGES, release.INSTALLED, ["py.typed"]),
         ([*WHOLE, "tests/rig.py"], release.PAGES, release.INSTALLED, ["tests/rig.py"]),
-        ([WHOLE[0]], release.PAGES, release.INSTALLED, ["no manual"]),
+        (WHOLE[:2], release.PAGES, release.INSTALLED, ["safety.md"]),
+        ([WHOLE[0], WHOLE[2]], release.PAGES, release.INSTALLED, ["COMMIT"]),
         (WHOLE, release.PAGES - {"LICENSE"}, release.INSTALLED, ["LICENSE"]),
         (WHOLE, release.PAGES, {"anyio", "pyserial-asyncio"}, ["cryptography"]),
     ],
@@ -162,6 +162,29 @@ def test_what_a_release_lacks_is_reported(
     told = release.complaints(in_wheel, sorted(in_archive), sorted(components))
     assert len(told) == len(wrong)
     assert all(word in text for word, text in zip(wrong, told, strict=True))
+
+
+def test_a_wheel_is_the_same_whatever_is_installed_where_it_is_built(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    pytest.importorskip("hatchling", reason="only what builds a release has it")
+    spec = importlib.util.spec_from_file_location("hatch_build", ROOT / "hatch_build.py")
+    assert spec is not None
+    assert spec.loader is not None
+    hook = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(hook)
+
+    def packed(target: str) -> list[str]:
+        data: dict[str, Any] = {"force_include": {}}
+        hook.Manual(str(ROOT), {}, None, None, str(ROOT), target).initialize("standard", data)
+        return sorted(data["force_include"].values())
+
+    with_all = packed("wheel")
+    for name in ("sphinx", "myst_parser"):
+        monkeypatch.setitem(sys.modules, name, None)
+    assert packed("wheel") == with_all
+    assert set(with_all) >= release.MANUAL | {"m100link/manual/examples/first_flight.py"}
+    assert packed("sdist") == ["COMMIT"], "a wheel that is built of it is of the same commit"
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ from difflib import get_close_matches
 from errno import EPIPE
 from functools import wraps
 from importlib.util import find_spec
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
 from cyclopts import (
@@ -237,12 +238,19 @@ class _Commands(App):
         console.print(f"Examples:{lines}", markup=False, highlight=False, soft_wrap=True)
 
 
+def _version() -> str:
+    """The release, and the commit of which it was built."""
+    kept = Path(m100link.__file__).parent / "manual" / "COMMIT"
+    commit = kept.read_text(encoding="utf-8") if kept.exists() else ""
+    return f"{m100link.__version__} ({f'commit {commit}' if commit else 'no commit is known'})"
+
+
 def application(*, overview: bool = False) -> App:
     """The commands under one name; with ``overview`` for the list of verbs only."""
     made = _Commands(
         name="m100link",
         help="Fly and watch a DJI Matrice 100 through its Onboard API, or a virtual one.",
-        version=m100link.__version__,
+        version=_version,
         # To load the Markdown reader takes a fifth of the time of the whole list, which has none.
         help_format="plaintext" if overview else None,
         default_parameter=_DEFAULT,

@@ -58,11 +58,7 @@ from m100link.protocol.items import BY_RECORD
 
 
 async def info(
-    url: Url = None,
-    /,
-    *,
-    link: LinkOptions = BY_LINK,
-    duration: Duration = 1.1,
+    url: Url = None, /, *, link: LinkOptions = BY_LINK, duration: Duration = 1.1
 ) -> None:
     """Show version, firmware profile, telemetry items and line quality."""
     place = link.place(url)
@@ -509,11 +505,8 @@ def _remember(configuration: Configuration, name: str, url: str, contact: Contac
 def _kind_of_line(place: ConnectionOptions) -> str:
     """The scheme, and the rate of a serial port: an address is nobody's business."""
     address = parse_url(place.url, baud_rate=place.settings.baud_rate)
-    return (
-        f"{address.scheme}, {address.number} baud"
-        if address.scheme == "serial"
-        else (address.scheme)
-    )
+    is_serial = address.scheme == "serial"
+    return f"{address.scheme}, {address.number} baud" if is_serial else address.scheme
 
 
 def _tell_observation(one: Observation) -> None:

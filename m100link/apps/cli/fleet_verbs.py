@@ -272,11 +272,7 @@ def _wall(fleet: Fleet, heard: FleetTelemetry) -> Table:
 
 
 async def watch(
-    name: Name,
-    /,
-    *,
-    duration: AtMost = None,
-    options: FleetOptions = NO_OPTIONS,
+    name: Name, /, *, duration: AtMost = None, options: FleetOptions = NO_OPTIONS
 ) -> None:
     """Print every telemetry package of one aircraft until Ctrl-C: one JSON object for each."""
     ended = Ended()

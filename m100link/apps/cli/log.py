@@ -182,13 +182,7 @@ _HEAD = {"utc", "at", "direction", "session", "is_ack", "sequence", "encrypted",
 _BODY = {"data", "command", "raw", "ciphertext"}
 
 
-def frames(
-    file: Log,
-    /,
-    *,
-    key_file: KeyFile = None,
-    firmware: AsFlown = None,
-) -> int:
+def frames(file: Log, /, *, key_file: KeyFile = None, firmware: AsFlown = None) -> int:
     """Print every frame as ``m100link decode`` does, and where bytes were lost."""
     cipher = None if key_file is None else Cipher(read_key(key_file))
     flight = read(file)

@@ -1,8 +1,7 @@
 """``m100link docs``: the manual, from the package itself.
 
-Reading: pages stand under ``m100link/manual`` as text or as Markdown (``hatch_build.py`` says
-when), and in a source tree under ``docs``. Markdown is shown by rich, after :func:`_plain` has said
-in words what only the builder of the manual can make.
+Reading: pages stand under ``m100link/manual``, in a source tree under ``docs``. rich shows them,
+after :func:`_plain` has said in words what only the builder of the manual can make.
 """
 
 from __future__ import annotations
@@ -61,8 +60,6 @@ class _Page:
 
     def printed(self, width: int, *, in_colour: bool) -> str:
         """The page as it is read, in lines of this width."""
-        if self.path.suffix == ".txt":
-            return self.text
         to = io.StringIO()
         console = Console(file=to, width=width, force_terminal=in_colour, no_color=not in_colour)
         console.print(Markdown(_plain(self.text, self.path.parents[1]), hyperlinks=False))
@@ -77,8 +74,7 @@ def _pages() -> list[_Page]:
     )
     pages = []
     for folder in _FOLDERS:
-        paths = sorted((root / folder).glob("*.*"))
-        found = {path.stem: path for path in paths if path.suffix in (".md", ".txt")}
+        found = {path.stem: path for path in sorted((root / folder).glob("*.md"))}
         index = found.pop("index", None)
         kind = heading = folder.capitalize()
         for title, section, topic in _CONTENTS.findall(index.read_text("utf-8") if index else ""):

@@ -121,11 +121,7 @@ def _names_an_aircraft(word: str) -> bool:
 
 @app.command
 def check(
-    plan: PlanFile,
-    /,
-    *,
-    file: FileOptions | None = None,
-    reckoning: EstimateOptions | None = None,
+    plan: PlanFile, /, *, file: FileOptions | None = None, reckoning: EstimateOptions | None = None
 ) -> int:
     """Check a plan: its faults and surprises, its length and duration.
 

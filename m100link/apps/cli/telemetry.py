@@ -150,13 +150,7 @@ def _values(sample: Sample, records: list[type[Any]]) -> dict[str, Any]:
     return values
 
 
-async def hz(
-    url: Url = None,
-    /,
-    *,
-    link: LinkOptions = BY_LINK,
-    duration: Duration = 5.0,
-) -> None:
+async def hz(url: Url = None, /, *, link: LinkOptions = BY_LINK, duration: Duration = 5.0) -> None:
     """Measure item rates, jitter and gaps, and the aircraft's clock."""
     place = link.place(url)
     async with place.connect() as aircraft:
@@ -357,11 +351,7 @@ _MONITOR_WIDE = 96
 
 
 async def monitor(
-    url: Url = None,
-    /,
-    *,
-    link: LinkOptions = BY_LINK,
-    duration: AtMost = None,
+    url: Url = None, /, *, link: LinkOptions = BY_LINK, duration: AtMost = None
 ) -> None:
     """Watch every telemetry item: value, age, measured rate and jitter.
 

@@ -121,10 +121,20 @@ def test_a_column_that_is_almost_one_is_named(cli: CommandLine) -> None:
 
 def test_help_and_version(cli: CommandLine) -> None:
     version = cli("--version")
-    assert (version.status, version.out) == (0, f"{m100link.__version__}\n")
+    told = f"{m100link.__version__} (no commit is known)\n"
+    assert (version.status, version.out) == (0, told)
     overview = cli("--help")
     for command in ("demo", "info", "activate", "monitor", "decode", "sim", "takeoff", "fly"):
         assert command in overview.out
+
+
+def test_a_wheel_says_of_which_commit_it_is(
+    cli: CommandLine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "manual").mkdir()
+    (tmp_path / "manual" / "COMMIT").write_text("5ffc7ccf00aa+")
+    monkeypatch.setattr(m100link, "__file__", str(tmp_path / "__init__.py"))
+    assert cli("--version").out == f"{m100link.__version__} (commit 5ffc7ccf00aa+)\n"
 
 
 def test_each_verb_is_listed_with_the_first_sentence_of_its_own_help(cli: CommandLine) -> None:
