@@ -23,6 +23,7 @@ import m100link
 from m100link import errors
 from m100link.apps.cli.app import app as cli
 from m100link.apps.fleet.pki import _UNIT
+from m100link.errors.usage import INSTALL
 from m100link.protocol import records
 from m100link.sim import VirtualClockEventLoop
 from tests import audit, release
@@ -219,6 +220,27 @@ def test_package_is_marked_as_typed() -> None:
 
 def test_versions_agree() -> None:
     assert m100link.__version__ == PYPROJECT["project"]["version"]
+
+
+def test_each_instruction_installs_from_the_source_and_no_name_that_nobody_owns() -> None:
+    """A stranger who registers the name would run code on machines that fly."""
+    paths = [
+        *ROOT.glob("*.md"),
+        *(p for one in ("docs", "examples") for p in (ROOT / one).rglob("*")),
+    ]
+    paths += (ROOT / "m100link").rglob("*.py")
+    texts = {p: p.read_text("utf-8") for p in paths if p.suffix in (".md", ".py", ".ipynb")}
+    assert INSTALL == "pip install '.[{}]' in a clone of m100link"
+    extras, named = set(PYPROJECT["project"]["optional-dependencies"]), 0
+    for path, text in texts.items():
+        for line in re.findall(r"pip install (.*)", text):
+            assert not re.match(r"(-\S+ )*['\"]?m100link\b", line), (path, line)
+            for asked in re.findall(r"'\.\[([\w,]+)\]'", line):
+                named += 1
+                assert set(asked.split(",")) <= extras, (path, line)
+                is_told = path.parent == ROOT or re.search("clone|directory of the package", text)
+                assert is_told, path
+    assert named > 12
 
 
 def test_core_dependencies_are_the_four() -> None:

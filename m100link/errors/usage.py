@@ -33,14 +33,18 @@ class UsageError(
     """The call itself is wrong; nothing was sent."""
 
 
-def of_extra(module: str, purpose: str, extra: str) -> Any:
+INSTALL = "pip install '.[{}]' in a clone of m100link"
+"""How an extra is installed. Nobody owns the name m100link at PyPI: a release changes this line."""
+
+
+def of_extra(module: str, purpose: str, extra: str, instead: str = "") -> Any:
     """A module that needs packages of an extra. Raises UsageError: one is not installed."""
     try:
         return import_module(module)
     except ModuleNotFoundError as error:
         raise UsageError(
             f"{purpose} needs {error.name}, which is not installed",
-            remedy=f"pip install '.[{extra}]' in a clone of m100link",
+            remedy=INSTALL.format(extra) + instead,
         ) from None
 
 

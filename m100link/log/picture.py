@@ -11,12 +11,11 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from difflib import SequenceMatcher
 from html import escape
-from importlib import import_module
 from importlib.resources import files
 from statistics import fmean
 from typing import Any, NamedTuple
 
-from m100link.errors import UsageError
+from m100link.errors.usage import of_extra
 from m100link.geodesy import MapView, Place, svg_dot, svg_line, svg_text
 from m100link.log.channels import Curve
 from m100link.log.report import happened
@@ -322,14 +321,9 @@ def picture(story: FlightSummary, *, width_px: int = 1400) -> bytes:
     Raises:
         UsageError: matplotlib is not installed.
     """
-    try:
-        figures = import_module("matplotlib.figure")
-        patches = import_module("matplotlib.patches")
-    except ModuleNotFoundError:
-        raise UsageError(
-            "a picture needs matplotlib, which is not installed",
-            remedy="pip install '.[analysis]' in a clone of m100link, or a page: -o flight.html",
-        ) from None
+    instead = ", or a page: -o flight.html"
+    figures = of_extra("matplotlib.figure", "a picture", "analysis", instead)
+    patches = of_extra("matplotlib.patches", "a picture", "analysis", instead)
     drawn = panels(story)
     figure = figures.Figure(figsize=(14, 9), layout="constrained", dpi=width_px / 14)
     grid = figure.add_gridspec(len(drawn) + 1, 2, width_ratios=(2, 3))

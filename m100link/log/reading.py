@@ -11,7 +11,6 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
-from importlib import import_module
 from itertools import accumulate, islice
 from operator import itemgetter
 from pathlib import Path
@@ -19,7 +18,7 @@ from typing import IO, Any, NamedTuple
 
 from m100link.errors import UsageError
 from m100link.errors.texts import read_json, read_path
-from m100link.errors.usage import unread
+from m100link.errors.usage import of_extra, unread
 from m100link.link import Direction
 from m100link.log.channels import CHUNKS, EVENT, LINK, RX, SCHEMAS, TX, is_telemetry
 from m100link.log.damage import Damage, Losses
@@ -616,14 +615,9 @@ def write_parquet(
     Raises:
         UsageError: pyarrow is not installed; no firmware is known.
     """
-    try:
-        arrow, parquet = import_module("pyarrow"), import_module("pyarrow.parquet")
-    except ModuleNotFoundError:
-        raise UsageError(
-            "a Parquet file needs pyarrow, which is not installed",
-            remedy="pip install '.[analysis]' in a clone of m100link; "
-            "m100link log csv needs nothing",
-        ) from None
+    instead = "; m100link log csv needs nothing"
+    arrow = of_extra("pyarrow", "a Parquet file", "analysis", instead)
+    parquet = of_extra("pyarrow.parquet", "a Parquet file", "analysis", instead)
     names, rows = flight.rows(*records, firmware=firmware)
     number = arrow.float64()
     schema = arrow.schema([(name, number) for name in names])

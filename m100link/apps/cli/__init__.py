@@ -22,10 +22,10 @@ def main() -> None:
         for package in ("cyclopts", "rich"):
             importlib.import_module(package)
     except ModuleNotFoundError as error:
-        sys.stderr.write(
-            f"m100link's command line needs {error.name}, which is not installed.\n"
-            "  what to do:   pip install '.[cli]' in a clone of m100link\n"
-        )
+        from m100link.errors.usage import INSTALL
+
+        needs = f"m100link's command line needs {error.name}, which is not installed.\n"
+        sys.stderr.write(f"{needs}  what to do:   {INSTALL.format('cli')}\n")
         raise SystemExit(2) from None
     from m100link.apps.cli.app import run
 
