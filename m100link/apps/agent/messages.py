@@ -444,10 +444,10 @@ def _plain(value: object) -> object:
 def agent_gone(reason: str) -> LinkError:
     """The error for an agent that has gone for good."""
     why = f": {reason}" if reason else ""
-    return LinkError(
-        f"the agent that owns the aircraft has gone{why}",
-        remedy="start it again; until then nothing here is up to date",
-    )
+    remedy = "start it again; until then nothing here is up to date"
+    if "speaks version" in reason:
+        remedy = "install the same release of m100link at both ends"
+    return LinkError(f"the agent that owns the aircraft has gone{why}", remedy=remedy)
 
 
 def agent_lost(reason: str) -> LinkLost:

@@ -29,6 +29,7 @@ from m100link.apps.agent.messages import (
     Stage,
     State,
     Steer,
+    agent_gone,
 )
 from m100link.apps.agent.transports import memory_channels
 from m100link.errors import LinkError
@@ -190,6 +191,9 @@ async def test_an_agent_of_another_version_hears_why_and_is_closed() -> None:
     fault = both.client.state.connection_fault
     assert fault is not None
     assert why in fault.seen
+    assert fault.remedy == "install the same release of m100link at both ends"
+    reason = f"this agent speaks version {VERSION}, not {VERSION + 1}"
+    assert agent_gone(reason).remedy == fault.remedy, "whoever of the two notices it"
 
 
 async def test_the_agent_that_takes_the_place_of_another_tells_all_of_it_anew() -> None:
