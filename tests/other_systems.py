@@ -78,8 +78,9 @@ _POSIX = {
         *("pthread_kill", "pthread_sigmask", "setitimer", "sigpending", "sigwait"),
     },
     "socket": {
-        *("AF_UNIX", "CMSG_LEN", "SCM_RIGHTS", "SO_REUSEPORT", "TCP_NOTSENT_LOWAT", "recv_fds"),
-        *("send_fds",),
+        # SO_REUSEADDR is there, and lets any program take the port of another one.
+        *("AF_UNIX", "CMSG_LEN", "SCM_RIGHTS", "SO_REUSEADDR", "SO_REUSEPORT"),
+        *("TCP_NOTSENT_LOWAT", "recv_fds", "send_fds"),
     },
     "time": {
         *("CLOCK_MONOTONIC", "CLOCK_MONOTONIC_RAW", "CLOCK_PROCESS_CPUTIME_ID", "CLOCK_REALTIME"),
@@ -179,9 +180,10 @@ def stand_in(system: str) -> None:
     if system == "win32":
         instead["os"] = {"name": "nt", "O_BINARY": _TEXT_MODE, "open": _open, "fstat": _fstat}
         instead["signal"] = {"SIGBREAK": BREAK}
+        instead["socket"] = {"SO_EXCLUSIVEADDRUSE": socket.SO_REUSEADDR}
         _without_watching(asyncio.SelectorEventLoop)
-        policy: Any = asyncio.DefaultEventLoopPolicy
-        policy._loop_factory = _Proactor
+        unix_events = vars(importlib.import_module("asyncio.unix_events"))
+        unix_events["_UnixDefaultEventLoopPolicy"]._loop_factory = _Proactor  # no public name
     missing = MISSING[system]
     real = {one.__name__: one for one in (asyncio, os, selectors, signal, socket, sys, time)}
     real |= {name: importlib.import_module(name) for name in ("mmap", "select")}

@@ -21,6 +21,7 @@ import asyncio
 import errno
 import logging
 import socket
+import sys
 from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine, Mapping, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager, suppress
 from dataclasses import dataclass
@@ -179,7 +180,9 @@ def bound(
     stack.callback(one.close)
     one.setblocking(False)
     if kind == socket.SOCK_STREAM:
-        one.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        # On Windows SO_REUSEADDR would let any program take the port of another one.
+        name = "SO_EXCLUSIVEADDRUSE" if sys.platform == "win32" else "SO_REUSEADDR"
+        one.setsockopt(socket.SOL_SOCKET, getattr(socket, name), 1)
     try:
         one.bind(address)
     except OSError as error:
