@@ -246,7 +246,7 @@ def _unfenced(found: re.Match[str], root: Path) -> str:
     if name == "literalinclude":
         programs = (one / "examples" / Path(argument).name for one in (root, root.parent))
         program = next((one for one in programs if one.exists()), None)
-        return f"`{argument}`" if program is None else f"```python\n{program.read_text()}```"
+        return f"`{argument}`" if program is None else f"```python\n{program.read_text('utf-8')}```"
     if name in _SILENT:
         return ""
     if name in _CODE:
