@@ -104,7 +104,8 @@ class Machine:
         wanted = self.device(path).name
         found = []
         for process in self._processes():
-            words = self._words(process)
+            # A program that names itself anew has blanks between.
+            words = _text(process / "cmdline").replace("\0", " ").split()
             if words and "getty" in Path(words[0]).name and wanted in words[1:]:
                 found.append(_described(process))
         return tuple(found)
@@ -112,10 +113,7 @@ class Machine:
     def is_kernel_console(self, path: str) -> bool:
         """Whether the kernel writes its messages to it."""
         name = self.device(path).name
-        try:
-            lines = (self._root / "proc/consoles").read_text("utf-8", "replace").splitlines()
-        except OSError:
-            return False
+        lines = _text(self._root / "proc/consoles").splitlines()
         return any(line.split()[:1] == [name] for line in lines)
 
     def modem_manager(self) -> Process | None:
@@ -135,14 +133,6 @@ class Machine:
 
     def _processes(self) -> Iterator[Path]:
         yield from sorted((self._root / "proc").glob("[0-9]*"))
-
-    def _words(self, process: Path) -> list[str]:
-        try:
-            text = (process / "cmdline").read_text(encoding="utf-8", errors="replace")
-        except OSError:
-            return []
-        # A program that names itself anew has blanks between.
-        return text.rstrip("\0").replace("\0", " ").split()
 
     # -- the adapter -----------------------------------------------------------------------------
 
