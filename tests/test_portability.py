@@ -159,6 +159,28 @@ def test_no_module_needs_at_its_import_what_windows_has_not() -> None:
     assert {name: lacks for name, lacks in found.items() if lacks} == {}
 
 
+@pytest.mark.parametrize(
+    ("name", "places"),
+    [
+        ("add_signal_handler", {"apps/agent/background.py"}),
+        ("flock", {"link/keyfile.py"}),
+        ("openpty", {"sim/ports/pty.py"}),
+        ("clock_gettime", {"flight/guards.py", "flight/guardian_process.py"}),  # that needs Linux
+        ("start_unix_server", {"sim/orders.py"}),
+        ("create_unix_server", {"apps/agent/transports.py"}),
+        ("pass_fds", {"apps/station/supervisor.py", "flight/guardian.py"}),
+    ],
+)
+def test_one_place_has_what_windows_lacks(name: str, places: set[str]) -> None:
+    """What is called later than at an import, and ends there in an error of Python."""
+    used = {
+        str(path.relative_to(ROOT / "m100link"))
+        for path in MODULES.values()
+        if name in path.read_text("utf-8")
+    }
+    assert used == places
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("system", SYSTEMS)
 @pytest.mark.parametrize("rooms", ["agent bus doctor fleet mavlink ros2", "cli", "station"])
@@ -257,10 +279,14 @@ ENDINGS = [("win32", signal.SIGINT), ("win32", BREAK), ("darwin", signal.SIGINT)
 @pytest.mark.slow
 @pytest.mark.anyio
 @pytest.mark.parametrize(("system", "number"), ENDINGS)
-async def test_a_simulator_answers_by_tcp(system: str, number: int) -> None:
+async def test_a_simulator_answers_by_tcp(system: str, number: int, tmp_path: Path) -> None:
     process, told = await started(system, "sim", "--tcp", "0", "--json")
     asked = await asyncio.to_thread(verb, system, "info", told["port"], "--json")
     assert json.loads(asked.stdout)["firmware"]
+    words = ("record", told["port"], "-o", str(tmp_path), "--duration", "1")
+    recorded = await asyncio.to_thread(verb, system, *words)
+    assert recorded.returncode == 0, recorded.stderr
+    assert re.search(r"\.mcap: [\d,]+\s+bytes", recorded.stderr)
     assert "Traceback" not in await ended(process, number)
 
 
