@@ -533,14 +533,12 @@ class NoSimulator(
     """No simulator runs, or it is not clear which one is meant."""
 
 
-def send_order(
-    order: list[str], *, path: Path | None = None, aircraft: int = 0, timeout: float = 5.0
-) -> dict[str, Any]:
+def send_order(order: list[str], *, path: Path | None = None, aircraft: int = 0) -> dict[str, Any]:
     """Send one order to a running simulator and return its answer.
 
     ``path``: socket; by default that of the only simulator that runs. ``aircraft``: which aircraft
-    of a process with several, from 0. ``timeout``: seconds to wait. Raises ``NoSimulator``: none
-    runs, or several do and ``path`` says nothing.
+    of a process with several, from 0. Raises ``NoSimulator``: none runs, none answers in 5 s, or
+    several run and ``path`` says nothing.
     """
     if not hasattr(socket, "AF_UNIX"):
         raise NoSimulator(
@@ -551,7 +549,7 @@ def send_order(
     if path is None:
         path = _only_socket()
     with socket.socket(socket.AF_UNIX) as connection:
-        connection.settimeout(timeout)
+        connection.settimeout(5.0)
         try:
             connection.connect(str(path))
             request = {"aircraft": aircraft, "order": order}

@@ -116,7 +116,6 @@ class LeaseManager:
         longest_step: Time between two calls that counts at most. Its owner calls :meth:`advance`
             more often than that, so a longer time means that the program did not run.
         leases_before: Number of the last lease of an earlier agent. Its leases never fit here.
-        make_token: Source of tokens; by default 128 bits from the system.
         on_change: Called after each change with the reason, the old and the new lease.
     """
 
@@ -126,14 +125,12 @@ class LeaseManager:
         lifetime: float = LEASE_LIFETIME,
         longest_step: float = math.inf,
         leases_before: int = 0,
-        make_token: Callable[[], str] = lambda: secrets.token_urlsafe(16),
         on_change: Callable[[LeaseChange, Lease | None, Lease | None], None] | None = None,
     ) -> None:
         if not lifetime > 0:
             raise ValueError(f"a lease of {lifetime} s is none")
         self.lifetime = lifetime
         self._longest_step = longest_step
-        self._make_token = make_token
         self._on_change = on_change
         self._lease: Lease | None = None
         self._expires_at = 0.0
@@ -216,7 +213,7 @@ class LeaseManager:
         wanted = TakeOver(
             _clean(name),
             self._lease.name,
-            self._make_token(),
+            secrets.token_urlsafe(16),
             self._lease.number,
             now + TAKE_OVER_LIFETIME,
         )
@@ -253,7 +250,7 @@ class LeaseManager:
 
     def _grant(self, why: LeaseChange, name: str, now: float) -> Lease:
         self._count += 1
-        lease = Lease(_clean(name), self._make_token(), self._count)
+        lease = Lease(_clean(name), secrets.token_urlsafe(16), self._count)
         self._change(why, lease, now)
         return lease
 

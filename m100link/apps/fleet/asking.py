@@ -373,14 +373,10 @@ _MOST_DOUBLED = 5
 
 
 class Questions:
-    """Asks again and again; to be used as ``async with``, at whose end nothing is open.
+    """Asks again and again; to be used as ``async with``, at whose end nothing is open."""
 
-    ``step``: seconds after which the newest question waits for nothing that the next one would not
-    tell sooner.
-    """
-
-    def __init__(self, bus: Bus, *, step: float = STEP_S) -> None:
-        self._bus, self._step = bus, step
+    def __init__(self, bus: Bus) -> None:
+        self._bus = bus
         self._clock = asyncio.get_running_loop().time
         self._open: dict[asyncio.Task[list[QueryAnswer]], int] = {}
         self._asked_at = 0.0
@@ -405,7 +401,7 @@ class Questions:
         """Seconds until it is to be asked again."""
         if self.newest not in self._open.values():
             return 0.0
-        return self._asked_at + self._step - self._clock()
+        return self._asked_at + STEP_S - self._clock()
 
     def ask(self, key: str, payload: bytes = b"", *, within: float) -> int:
         """Ask; those that were asked before stay open.
@@ -417,7 +413,7 @@ class Questions:
         ``within``: seconds that an answer is of any use.
         """
         self._unanswered += 1
-        longest = self._step * 2 ** min(self._unanswered, _MOST_DOUBLED)
+        longest = STEP_S * 2 ** min(self._unanswered, _MOST_DOUBLED)
         self.newest += 1
         self._asked_at = self._clock()
         asking = self._bus.ask(key, payload, timeout=min(within, longest))

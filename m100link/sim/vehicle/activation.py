@@ -132,7 +132,6 @@ class MobileApp:
         has_internet: The phone reaches the server.
         wants_control: The app has asked for control over the mobile interface.
         received: Messages from the onboard device (0x00/0xFE), newest last, 1000 kept.
-        received_bytes: All bytes it received.
         lost_messages: Messages sent while no app was connected.
     """
 
@@ -141,7 +140,6 @@ class MobileApp:
         self.has_internet = has_internet
         self.wants_control = False
         self.received: deque[bytes] = deque(maxlen=1000)
-        self.received_bytes = 0
         self.lost_messages = 0
 
     def receive(self, message: bytes) -> None:
@@ -150,7 +148,6 @@ class MobileApp:
             self.lost_messages += 1
             return
         self.received.append(message)
-        self.received_bytes += len(message)
 
     def connect(self, *, internet: bool = True) -> None:
         """Plug the phone in."""
@@ -197,12 +194,9 @@ class ActivationState:
         self._asking: dict[int, float] = {}
         self.active: Grant | None = None  # the grant in force, None before activation
         self.known: dict[int, Grant] = {}  # grants by app id
-        # Why the server refused last, None when it did not.
-        self.last_refusal: Refusal | None = None
 
     def request(self, request: Activate, now: float) -> ActivationCode:
         """Answer an activation request of the right length that came unencrypted."""
-        self.last_refusal = None
         version = self._profile.activation_version
         if version is not None and request.version != version:
             return ActivationCode.VERSION_MISMATCH
@@ -222,7 +216,6 @@ class ActivationState:
         if is_asked and now < self._answer_at(request.app_id, now):
             return ActivationCode.NEW_DEVICE
         if isinstance(verdict, Refusal):
-            self.last_refusal = verdict
             self._asking.pop(request.app_id, None)
             is_level = verdict is Refusal.LEVEL
             return ActivationCode.LEVEL_TOO_HIGH if is_level else ActivationCode.SERVER_REFUSED

@@ -194,9 +194,7 @@ def by_url(
     return opened
 
 
-def by_driver(
-    driver: Driver, *, timeout: float | None = None, flights: Flights | None = None
-) -> Connect:
+def by_driver(driver: Driver, *, flights: Flights | None = None) -> Connect:
     """Plug into a virtual aircraft of this process; it outlives the connection."""
 
     async def plugged_in() -> Aircraft:
@@ -208,7 +206,7 @@ def by_driver(
                 raise PortNotFound(str(error), remedy="plug it in again") from error
             await link.wait_connected()
             link.name = "sim://"
-            aircraft = await connect(link, timeout=timeout)
+            aircraft = await connect(link)
             if log is not None:
                 be_recorded(aircraft, log)
             return aircraft

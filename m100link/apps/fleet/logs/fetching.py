@@ -43,13 +43,10 @@ class Fetched:
 
 
 class LogFetcher:
-    """Asks one aircraft for its logs.
+    """Asks one aircraft for its logs."""
 
-    ``patience``: seconds without any answer after which it counts as gone.
-    """
-
-    def __init__(self, asker: Asker, *, patience: float = PATIENCE_S) -> None:
-        self._keys, self._asker, self._patience = asker.keys, asker, patience
+    def __init__(self, asker: Asker) -> None:
+        self._keys, self._asker = asker.keys, asker
         self._clock = asyncio.get_running_loop().time
         self._has_answered = False
 
@@ -161,7 +158,7 @@ class LogFetcher:
             raise nobody_there(name)
         silent_since = self._clock()
         unread: MessageError | None = None
-        while self._clock() - silent_since < self._patience:
+        while self._clock() - silent_since < PATIENCE_S:
             # A new one each time, for a signature ages.
             order = self._asker.around(question)
             found = None
@@ -188,7 +185,7 @@ class LogFetcher:
         if unread is not None:
             raise unread
         raise Unreachable(
-            f"{name} gave no answer about its logs for {self._patience:g} s",
+            f"{name} gave no answer about its logs for {PATIENCE_S:g} s",
             cause="the link is cut, its agent hangs or is an old one, or the router lets no answer "
             "pass to this identity",
             remedy="m100link fleet acl check FILE --who NAME, with the router's fleet file",

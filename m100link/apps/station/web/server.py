@@ -62,12 +62,10 @@ class RosbridgeServer:
         # called as DJI's are, those of the others stand in a namespace of their name.
         agents: Mapping[str, AgentClient],
         *,
-        limits: ClientLimits | None = None,  # what one client may use
         max_clients: int = 32,  # clients at once
         pages: Path | None = None,  # folder with web pages to serve on the same port
     ) -> None:
         self.agents = agents
-        self._limits = limits or ClientLimits()
         self._max_clients = max_clients
         self._log = SparingLogger(logging.getLogger(__name__))
         self.graph = Graph()  # topics and services
@@ -168,9 +166,7 @@ class RosbridgeServer:
             return
         name = f"rosbridge {peer}:{websocket.client.port}" if websocket.client else "rosbridge"
         wake, closing = asyncio.Event(), asyncio.Event()
-        session = Client(
-            self.graph, name, limits=self._limits, on_output=wake.set, on_disconnect=closing.set
-        )
+        session = Client(self.graph, name, on_output=wake.set, on_disconnect=closing.set)
         session.heard_at, session.peer = self.agent.now, peer
         try:
             await websocket.accept()

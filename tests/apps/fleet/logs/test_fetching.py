@@ -266,4 +266,4 @@ async def test_junk_in_place_of_answers_is_said_and_never_believed(road: Road) -
     junk = bytes([VERSION]) + b"junk\n"
     road.onboard.serve(KEYS.log, lambda question: question.answer(KEYS.log, junk))
     with pytest.raises(MessageError, match="not a LogReply: this is not JSON"):
-        await LogFetcher(road.asker(), patience=2.0).logs()
+        await LogFetcher(road.asker()).logs()
