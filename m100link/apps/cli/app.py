@@ -105,7 +105,7 @@ _ROWS = {
         ("fleet show fly", "", "show.json", "show.json --leave hover --yes"),
         ("fleet log list", "", "a1", "--all"),
         ("fleet log audit", "", "a1", "--all --to audit"),
-        ("fleet log fetch", "", "a1", "--all --last --to logs"),
+        ("fleet log fetch", "", "a1", "--all --to logs"),
         ("fleet pki revoke", "", "anna --folder pki", "anna bert --folder pki --json"),
         ("fleet pki push", "", "a1 --folder pki", "--all --identity anna --pki pki"),
         ("fleet acl check", "", "fleet.toml", "fleet.toml --who anna --json"),

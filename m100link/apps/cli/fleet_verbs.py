@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import time
 from collections.abc import Awaitable, Callable
 from contextlib import nullcontext
@@ -17,6 +16,7 @@ from rich.live import Live
 from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TransferSpeedColumn
 from rich.table import Table
 
+from m100link.apps.agent.background import is_set_within
 from m100link.apps.cli.common import Ended, err, out
 from m100link.apps.cli.fleet import (
     NO_OPTIONS,
@@ -44,7 +44,6 @@ from m100link.apps.fleet.payloads import Card, Result
 from m100link.apps.fleet.publisher import FleetTelemetry
 from m100link.apps.fleet.revocations import Revocations
 from m100link.apps.fleet.signing import merge_audit
-from m100link.errors import UsageError
 from m100link.log.folder import state_folder
 from m100link.protocol.items import BY_RECORD
 from m100link.protocol.records import Battery, FlightStatus, Position, Velocity
@@ -194,27 +193,11 @@ async def goto(
 _OLD_S = 2.0
 
 
-async def _until(ended: asyncio.Event, seconds: float) -> bool:
-    """Wait; whether it goes on."""
-    with contextlib.suppress(TimeoutError):
-        async with asyncio.timeout(seconds):
-            await ended.wait()
-    return not ended.is_set()
-
-
-async def monitor(
-    *,
-    rate: Annotated[float, Above0] = 2.0,
-    duration: AtMost = None,
-    options: FleetOptions = NO_OPTIONS,
-) -> None:
+async def monitor(*, duration: AtMost = None, options: FleetOptions = NO_OPTIONS) -> None:
     """Watch all aircraft until Ctrl-C: the newest values of each, and their age.
 
     Agents send each item five times a second for this, or at its own rate if that is lower. With
     --json the command prints one object for each aircraft and second.
-
-    Args:
-        rate: Tables drawn per second.
     """
     ended = Ended()
     if duration is not None:
@@ -222,12 +205,12 @@ async def monitor(
     async with options.open() as fleet:
         heard = FleetTelemetry(fleet.bus, fleet.keys)
         if as_json():
-            while await _until(ended, 1.0):
+            while not await is_set_within(ended, 1.0):
                 for name in in_order(fleet.present | set(heard.states)):
                     print_json(_facts(fleet, heard, name))
             return
         with Live(console=out, auto_refresh=False) as live:
-            while await _until(ended, 1 / rate):
+            while not await is_set_within(ended, 0.5):
                 live.update(_wall(fleet, heard), refresh=True)
 
 
@@ -401,23 +384,19 @@ async def audit(
 async def fetch(
     *names: Names,
     everybody: All = False,
-    last: bool = False,
     file: str = "",
     to: Path = Path(),
     options: FleetOptions = NO_OPTIONS,
 ) -> int:
-    """Fetch a flight log of each aircraft into a file NAME-LOG.
+    """Fetch a flight log of each aircraft, by default the newest, into a file NAME-LOG.
 
     If Ctrl-C or the network cuts it off, the part stays in a file that ends in .part, and the same
     command continues. A log that is still being written is fetched up to its current end.
 
     Args:
-        last: The newest log of each, as without --file.
         file: The log of that name, as `m100link fleet log list` shows it.
         to: Folder for the file.
     """
-    if last and file:
-        raise UsageError("--last and --file name two logs", remedy="leave out one of them")
     shown = _Shown()
 
     async def one(aircraft: FleetAircraft) -> Fetched:

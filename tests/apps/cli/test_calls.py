@@ -437,7 +437,7 @@ ORDERS = [
         ["a1.fetch_log('x.mcap', PosixPath('logs'))"],
         "a1: a1-x.mcap: 9 bytes, of which 5 were here already; the log is still being written",
     ),
-    ("log fetch a1 --last", ["a1.fetch_log('', PosixPath('.'))"], "a1: a1-newest: 9 bytes"),
+    ("log fetch a1", ["a1.fetch_log('', PosixPath('.'))"], "a1: a1-newest: 9 bytes"),
     ("mission stop a1", ["a1.stop()"], "a1: stopped"),
     (
         "mission progress a1",
@@ -470,7 +470,6 @@ def test_whose_fleet_it_is(cli: CommandLine, notes: Notes) -> None:
     [
         ("land", "no aircraft was named"),
         ("land a1 --all", "aircraft were named, and --all given"),
-        ("log fetch a1 --last --file x", "--last and --file name two logs"),
         ("goto a1 52 4 0", "must be a number above 0"),
         ("goto a1 52 4 10 --speed -1", "must be a number above 0"),
     ],

@@ -90,7 +90,7 @@ def test_logs_are_listed_and_fetched_and_one_that_is_written_is_said(
     assert [line.split()[1] for line in listed] == ["log", told[0]["log"], OLD]
     assert "1.0 MB" in listed[2]
     assert listed[1].endswith(", and still")
-    status, [newest] = site.ask("log", "fetch", "a1", "--last", "--to", str(tmp_path / "here"))
+    status, [newest] = site.ask("log", "fetch", "a1", "--to", str(tmp_path / "here"))
     assert (status, newest["log"], newest["is_written"]) == (0, told[0]["log"], True)
     assert not read(newest["path"]).summary().is_whole
     assert fetched(site, tmp_path / "here")["came"] == SIZE
@@ -106,7 +106,6 @@ def test_mistakes_are_reported_with_what_to_do(site: Site, onboard: Path, tmp_pa
     status, [told] = site.ask("log", "fetch", "a7")
     assert (status, told["outcome"]) == (1, "unreachable")
     assert site.ask("log", "fetch")[0] == 2
-    assert site.ask("log", "fetch", "a1", "--last", "--file", OLD)[0] == 2
 
 
 def test_ctrl_c_ends_it_at_once_and_the_next_one_goes_on(
