@@ -246,8 +246,8 @@ class Rights:
         }
         people = {name: _identity(name, one) for name, one in _tables(found, "identity").items()}
         known = {"ca"}
-        named = {"router": routers, "aircraft": settings, "identity": people}
-        for kind, name in ((kind, name) for kind, names in named.items() for name in names):
+        named = [("router", [*routers]), ("aircraft", [*settings]), ("identity", [*people])]
+        for kind, name in [(kind, name) for kind, names in named for name in names]:
             if name == "console" and kind != "identity":
                 seen = f"{'an aircraft' if kind == 'aircraft' else 'a router'} is named console"
                 raise _Wrong(seen, kind, name, remedy="so `fleet up` names the console")
