@@ -97,8 +97,6 @@ _ROWS = {
         ("fleet monitor", "", "", "--duration 10 --json"),
         ("fleet lease|watch", "", "a1", "a1 --name anna"),
         ("fleet mission fly", "", "a1 survey.json", "a1 survey.json --take-off --yes"),
-        ("fleet mission upload", "", "a1 survey.json", "a1 field.plan --leave-out geoFence"),
-        ("fleet mission start", "", "a1 plan.json", "a1 plan.json --take-off"),
         ("fleet mission pause|resume|stop|progress", "", "a1", "a1 --json"),
         ("fleet show check", "", "show.json", "show.json --max-height 30"),
         ("fleet show preview", "", "show.json", "show.json show.svg"),

@@ -136,8 +136,8 @@ def borrowed(site: str, name: str) -> tuple[int, str]:
         raise UsageError(
             f"no command of this account has control of {name}",
             cause="orders to a mission need the lease of the operator who flies",
-            remedy=f"m100link fleet lease {name}, or fleet mission fly {name} FILE, in another "
-            f"shell; m100link fleet stop {name} needs no lease",
+            remedy=f"m100link fleet mission fly {name} FILE in another shell; m100link fleet stop "
+            f"{name} needs no lease",
         ) from None
     except (OSError, ValueError, KeyError, TypeError, OverflowError) as error:
         raise UsageError(f"{path} cannot be read: {error}", remedy="remove it") from error

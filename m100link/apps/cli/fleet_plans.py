@@ -14,7 +14,7 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from m100link.apps.agent.background import when_signalled
-from m100link.apps.agent.orders import AskVersion, Order, UploadPlan
+from m100link.apps.agent.orders import AskVersion, Order
 from m100link.apps.cli.common import err, out, run_async
 from m100link.apps.cli.fleet import (
     NO_OPTIONS,
@@ -32,7 +32,6 @@ from m100link.apps.cli.mission import event_name, event_words
 from m100link.apps.cli.options import Above0, Force, Yes, group
 from m100link.apps.cli.plan import File, FileOptions, PlanFile, TakeOff, degrees, read_plan
 from m100link.apps.cli.terminal import ExitCode, ReaderGone, as_json, print_json, tell
-from m100link.apps.fleet.client import FleetAircraft
 from m100link.apps.fleet.missions.flight import FleetMission, MissionOrders
 from m100link.apps.fleet.payloads import MissionCard, MissionStage, OrderReply, ShowStage
 from m100link.apps.fleet.show.conductor import Conductor
@@ -166,8 +165,6 @@ class _Show:
 
 _SEE = "m100link fleet mission progress {name} shows it"
 _END = f"{_SEE}; after m100link fleet stop {{name}} the aircraft hovers"
-_UPLOAD = Left("the plan may be on board; it does not fly", _SEE)
-_START = Left("if the order arrived, the mission flies while the lease lasts", _END)
 _PAUSE = Left("the mission may be paused, or fly on", _END)
 _RESUME = Left("the mission may still be paused, or fly on", _END)
 _STOP = Left("it stops if the order arrived", f"{_SEE}, m100link fleet mission stop {{name}} again")
@@ -177,77 +174,33 @@ async def _ordering(
     name: str,
     options: FleetOptions,
     left: Left,
-    do: Callable[[MissionOrders, FleetAircraft], Awaitable[str | None]],
-    done: str = "",  # the report when the order itself gives none
+    do: Callable[[MissionOrders], Awaitable[None]],
+    done: str,
 ) -> int:
     fence, token = borrowed(options.place, name)
     async with options.open() as fleet:
-        aircraft = fleet[name]
-        asker = aircraft.asker
+        asker = fleet[name].asker
         await asker.ask(AskVersion())  # its clock says how old an order is
 
         async def ask(order: Order) -> OrderReply:
             return await asker.ask(order, fence=fence, token=token)
 
         with reported_when_interrupted(name, left):
-            text = await do(MissionOrders(ask), aircraft) or done
-    facts = {"name": name, "outcome": "ok", "told": text}
-    return tell(facts, f"{name}: {text}")
-
-
-@missions.command
-async def upload(
-    name: Name,
-    plan: PlanFile,
-    /,
-    *,
-    file: FileOptions | None = None,
-    options: FleetOptions = NO_OPTIONS,
-) -> int:
-    """Upload a plan to the agent, for `start`; void when the `fleet lease` that it needs ends."""
-    found = read_plan(plan, file)
-
-    async def do(orders: MissionOrders, _: FleetAircraft) -> str:
-        digest = await orders.upload(found)
-        return f"{len(found.waypoints)} waypoints are on board: {digest[:16]}"
-
-    return await _ordering(name, options, _UPLOAD, do)
-
-
-@missions.command
-async def start(
-    name: Name,
-    plan: File,
-    /,
-    *,
-    file: FileOptions | None = None,
-    take_off: TakeOff = False,
-    options: FleetOptions = NO_OPTIONS,
-) -> int:
-    """Start the uploaded plan; it flies while `fleet lease` runs.
-
-    Args:
-        plan: The file that was uploaded: another plan on board does not fly.
-    """
-    found = read_plan(plan, file)
-
-    async def do(orders: MissionOrders, _: FleetAircraft) -> str:
-        await orders.start(UploadPlan.of(found).digest, take_off=take_off or found.take_off)
-        return f"the mission of {len(found.waypoints)} waypoints flies"
-
-    return await _ordering(name, options, _START, do)
+            await do(MissionOrders(ask))
+    facts = {"name": name, "outcome": "ok", "told": done}
+    return tell(facts, f"{name}: {done}")
 
 
 @missions.command
 async def pause(name: Name, /, *, options: FleetOptions = NO_OPTIONS) -> int:
     """Pause the mission in flight; the aircraft hovers."""
-    return await _ordering(name, options, _PAUSE, lambda orders, _: orders.pause(), "paused")
+    return await _ordering(name, options, _PAUSE, MissionOrders.pause, "paused")
 
 
 @missions.command
 async def resume(name: Name, /, *, options: FleetOptions = NO_OPTIONS) -> int:
     """Resume a paused mission."""
-    return await _ordering(name, options, _RESUME, lambda orders, _: orders.resume(), "it goes on")
+    return await _ordering(name, options, _RESUME, MissionOrders.resume, "it goes on")
 
 
 # -- without a lease -------------------------------------------------------------------------------

@@ -29,7 +29,6 @@ from m100link.apps.cli.fleet import (
     TakeOver,
     results_of,
     say,
-    shared,
     tell_results,
 )
 from m100link.apps.cli.fleet_plans import missions, shows
@@ -296,19 +295,15 @@ def _package(sample: Sample) -> dict[str, Any]:
 async def lease(
     name: Name, /, *, take_over: TakeOver = False, options: FleetOptions = NO_OPTIONS
 ) -> None:
-    """Take control of one aircraft and hold it, hovering, until Ctrl-C.
-
-    Meanwhile `fleet mission upload` and `start` of the same account act under this lease.
-    """
+    """Take control of one aircraft and hold it, hovering, until Ctrl-C."""
     ended = Ended()
     async with options.open() as fleet, fleet[name].control(take_over=take_over) as control:
         facts = {"name": name, "fence": control.fence}
         words = f"{name}: lease {control.fence}, until Ctrl-C"
         tell(facts, words)
-        with shared(options.place, name, control.proof):
-            await ended.wait()
-            if not as_json():
-                err.print(f"{name}: control goes back: it hovers", markup=False)
+        await ended.wait()
+        if not as_json():
+            err.print(f"{name}: control goes back: it hovers", markup=False)
 
 
 # -- ``m100link fleet log``: the flight logs that lie on board -------------------------------------

@@ -14,7 +14,6 @@ import time
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, nullcontext
-from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
@@ -246,31 +245,6 @@ def test_whatever_ends_the_command_ends_the_mission(
     assert not over["is_finished"]
     assert until(site, lambda card: card["kind"] == "no mission")
     assert [card["phase"] for card in site.listed(1, lambda card: card.get("phase") == "in air")]
-
-
-@needs_zenoh
-@pytest.mark.pty
-def test_steps_go_under_the_lease_that_another_shell_holds(
-    site: Site, plan: Path, tmp_path: Path
-) -> None:
-    assert site.ask("mission", "upload", "a1", str(plan))[0] == 2
-    holder = site.start("lease", "a1", "--json")
-    assert holder.stdout is not None
-    assert holder.stdout.readline()
-    assert site.ask("mission", "start", "a1", str(plan))[0] == 2
-    assert site.ask("mission", "upload", "a1", str(plan))[0] == 0
-    other = tmp_path / "other.json"
-    other.write_text(replace(WaypointPlan.parse(plan.read_text()), speed=1.0).to_json())
-    assert site.ask("mission", "start", "a1", str(other), "--take-off")[0] == 2
-    assert site.ask("mission", "progress", "a1")[1][-1]["stage"] == "uploaded"
-    assert site.ask("mission", "start", "a1", str(plan), "--take-off")[0] == 0
-    assert until(site, lambda card: card["stage"] == "flying")["by"]
-    assert site.ask("mission", "stop", "a1")[0] == 0
-    over = until(site, lambda card: card["stage"] == "over")
-    assert over["fault"]["kind"] == "NotObserved"
-    holder.send_signal(signal.SIGINT)
-    assert holder.wait(PATIENCE) == 0
-    assert site.ask("mission", "start", "a1", str(plan))[0] == 2
 
 
 @needs_zenoh

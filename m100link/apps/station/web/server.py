@@ -25,7 +25,7 @@ from m100link.apps.agent.background import SparingLogger, is_set_within
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.station.config import namespace_of
 from m100link.apps.station.listeners import Fronts
-from m100link.apps.station.ros.client import Client, ClientLimits
+from m100link.apps.station.ros.client import Client
 from m100link.apps.station.ros.dji_sdk import DjiSdk
 from m100link.apps.station.ros.graph import Graph, add_rosapi, add_rosout
 from m100link.apps.station.ros.leases import Clients
