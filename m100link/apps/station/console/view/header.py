@@ -90,7 +90,6 @@ class Cause(Enum):
     RC = "rc"  # the lease without authority, and CTRL_DEVICE names the remote controller
     TAKEN = "taken"  # the lease without authority: somebody took it, nobody knows who
     NO_AUTHORITY = "no_authority"  # the lease without authority, which has to be asked for
-    KEPT = "kept"  # nobody has the lease, authority is kept for a moment for a lost client
     FREE_RC = "free_rc"  # nobody has the lease, CTRL_DEVICE names the remote controller
     FREE = "free"  # nobody has the lease, and who flies is not known
 
@@ -127,7 +126,6 @@ RULES: dict[Cause, tuple[AlarmLevel, Callable[[Situation], bool]]] = {
         lambda now: _lacks_authority(now) and now.holding in ("taken", "paused"),
     ),
     _C.NO_AUTHORITY: (_L.WARNING, _lacks_authority),
-    _C.KEPT: (_L.WARNING, lambda now: now.has_authority and not now.holder),
     _C.FREE_RC: (_L.NEUTRAL, lambda now: now.device is Device.RC),
     _C.FREE: (_L.NEUTRAL, lambda now: True),
 }

@@ -164,7 +164,6 @@ ALONE: dict[Cause, dict[str, Any]] = {
     C.RC: {"has_lease": True, "device": Device.RC},
     C.TAKEN: {"has_lease": True, "holding": "taken"},
     C.NO_AUTHORITY: {"has_lease": True},
-    C.KEPT: {"has_authority": True},
     C.FREE_RC: {"device": Device.RC},
     C.FREE: {},
 }
@@ -181,9 +180,8 @@ NO_PAIR = {
         (C.PENDING, C.GIVING_BACK),
         (C.PENDING, C.TAKEN),
         (C.GIVING_BACK, C.TAKEN),
-        (C.OTHER, C.KEPT),
-        *product((C.OTHER, C.KEPT, C.MISSION, C.YOURS), (C.RC, C.TAKEN, C.NO_AUTHORITY)),
-        *product((C.OTHER, C.KEPT), (C.MISSION, C.YOURS)),
+        *product((C.OTHER, C.MISSION, C.YOURS), (C.RC, C.TAKEN, C.NO_AUTHORITY)),
+        *product((C.OTHER,), (C.MISSION, C.YOURS)),
     )
 }
 
@@ -235,8 +233,6 @@ def by_hand(now: Situation) -> Cause:
         return C.YOURS
     if now.has_lease:
         return C.RC if now.device is Device.RC else C.NO_AUTHORITY
-    if now.has_authority:
-        return C.KEPT
     return C.FREE_RC if now.device is Device.RC else C.FREE
 
 
