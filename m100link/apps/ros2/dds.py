@@ -10,8 +10,11 @@ from __future__ import annotations
 import ctypes
 import logging
 import os
+import threading
+import time
+from collections import deque
 from collections.abc import AsyncIterator, Callable, Iterator
-from contextlib import asynccontextmanager, contextmanager
+from contextlib import asynccontextmanager, closing, contextmanager
 from functools import partial
 from importlib import import_module
 from itertools import islice
@@ -31,6 +34,10 @@ T = TypeVar("T")
 WHEELS = "pip install 'ros-jazzy-rclpy[fastrtps]' ros-jazzy-common-interfaces"
 
 _GOALS, _FEEDBACK = "/_action/send_goal", "/_action/feedback"
+_SHORT = ("/std_srvs::", "/action_msgs::")  # types whose requests have one length, in keys
+_HEADER = 24  # bytes of rmw_request_id_t: the client, and its number of the request
+_APART_S, _CLOSE_S = 0.05, 1.0
+_LOOK_S = 0.5  # between two looks at the graph, which take a millisecond each
 _OF_ACTION = {"SendGoal": "SendGoalService", "GetResult": "GetResultService"}
 
 _PROFILES = """<profiles xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">
@@ -78,6 +85,28 @@ class _Info(ctypes.Structure):
         ("gid", ctypes.c_ubyte * 16),
         ("room", ctypes.c_ubyte * 64),
     )
+
+
+class _Half:
+    """The requests of a service, or its responses, with room in C for one of them."""
+
+    def __init__(self, kind: Any) -> None:
+        self._make = ctypes.CFUNCTYPE(ctypes.c_void_p)(_inside(kind._CREATE_ROS_MESSAGE))
+        self._end = ctypes.CFUNCTYPE(None, ctypes.c_void_p)(_inside(kind._DESTROY_ROS_MESSAGE))
+        self.support, self.message = _inside(kind._TYPE_SUPPORT), self._make()
+
+    def renew(self) -> None:
+        """Give back what a long one takes."""
+        self._end(self.message)
+        self.message = self._make()
+
+
+def _inside(capsule: Any) -> int:
+    """The address in a capsule of Python."""
+    of = ctypes.pythonapi
+    of.PyCapsule_GetName.restype, of.PyCapsule_GetPointer.restype = ctypes.c_char_p, ctypes.c_void_p
+    name = ctypes.c_char_p(of.PyCapsule_GetName(ctypes.py_object(capsule)))
+    return int(of.PyCapsule_GetPointer(ctypes.py_object(capsule), name))
 
 
 class _Polled(Generic[T]):
@@ -140,14 +169,24 @@ class DdsBus:
         self._goals: dict[str, str] = {}  # services that take goals, with their types
         self._feedback: list[Any] = []  # publishers to which clients of goals listen
         self._clients: dict[bytes, str] = {}  # tokens by the gids of those clients
+        self._looks_at = 0.0  # at the graph, by the clock that never goes back, s
         # Topics and services whose types are not built here, by the package of those types.
         self.missing: dict[str, list[str]] = {}
-        self._take = ctypes.CDLL("librcl.so").rcl_take_serialized_message  # rclpy has loaded it
+        c = ctypes.CDLL("librcl.so")  # rclpy has loaded it, and it the others: rmw and rcutils
+        self._take, self._take_request = c.rcl_take_serialized_message, c.rcl_take_request
+        self._send, self._serialize = c.rcl_send_response, c.rmw_serialize
+        self._deserialize, self._free = c.rmw_deserialize, c.rcutils_uint8_array_fini
+        self._has_failed, self._forget = c.rcutils_error_is_set, c.rcutils_reset_error
         self._take.argtypes = [ctypes.c_void_p] * 4
-        self._taken, self._info = _Bytes(), _Info()
-        default = ctypes.CDLL("librcutils.so").rcutils_get_default_allocator
-        default.restype = _Allocator
-        self._taken.allocator = default()
+        for call in (self._take_request, self._send, self._serialize, self._deserialize):
+            call.argtypes = [ctypes.c_void_p] * 3
+        self._has_failed.restype = ctypes.c_bool
+        self._info, self._allocator = _Info(), c.rcutils_get_default_allocator
+        self._allocator.restype = _Allocator
+        self._taken = _Bytes(allocator=self._allocator())
+        self._apart: list[tuple[Callable[[], list[Question]], deque[Question]]] = []
+        self._is_over = threading.Event()
+        self._thread = threading.Thread(target=self._take_apart, name="m100link: DDS", daemon=True)
 
     # -- what a node has: each end is made when it is declared -----------------------------------
 
@@ -236,35 +275,76 @@ class DdsBus:
         taken, info = self._taken, self._info
         if self._take(end.handle.pointer, ctypes.byref(taken), ctypes.byref(info), None):
             return None
+        sender = write_attachment(info.sequence, max(0, info.source_ns), bytes(info.gid))
+        return Received(self._payload(taken), sender)
+
+    def _payload(self, taken: _Bytes) -> bytes:
+        """The bytes that C has there, but for what is too long: that is not kept either."""
         is_read = 0 < taken.length <= self._largest
         payload = ctypes.string_at(taken.buffer, taken.length) if is_read else b""
-        sender = write_attachment(info.sequence, max(0, info.source_ns), bytes(info.gid))
-        return Received(payload, sender)
+        if taken.capacity > self._largest:
+            self._free(ctypes.byref(taken))
+            taken.allocator = self._allocator()
+        return payload
 
     def questions(self, key: str, depth: int) -> Inbox[Question]:
         end = self._end(key)
-        take = partial(self._question, end, key) if end else _nothing
-        return _Polled(partial(_some, take, depth))
+        if end is None:
+            return _Polled(list)
+        kind = end.srv_type
+        take = partial(self._asked_of, end, key, _Half(kind.Request), _Half(kind.Response), depth)
+        if any(one in key for one in _SHORT):
+            return _Polled(take)
+        # One in a step: to read it takes some milliseconds here, too.
+        found: deque[Question] = deque(maxlen=depth)
+        self._apart.append((take, found))
+        if not self._thread.is_alive():
+            self._thread.start()
+        return _Polled(lambda: [found.popleft()] if found else [])
 
-    def _question(self, end: Any, key: str) -> Question | None:
-        serialization, kind = self._rclpy.serialization, end.srv_type
-        try:
-            request, header = end.handle.service_take_request(kind.Request) or (None, None)
-        except RuntimeError as error:  # rclpy's own: what came cannot be read
-            _logger.debug("%s: %s", key, error)
-            return None
-        if header is None:
-            return None
+    def _take_apart(self) -> None:
+        """By a thread: C needs seconds for a request whose length is a lie."""
+        while not self._is_over.wait(_APART_S):
+            for take, found in self._apart:
+                found.extend(take())
 
-        def answer(_: str, payload: bytes, attachment: bytes | None = None) -> None:
-            try:
-                end.send_response(serialization.deserialize_message(payload, kind.Response), header)
-            except RuntimeError as error:  # rclpy has ended, or the client has
-                _logger.debug("%s: not answered: %s", key, error)
+    def close(self) -> None:
+        self._is_over.set()
+        if self._thread.is_alive():
+            self._thread.join(_CLOSE_S)
 
-        payload = serialization.serialize_message(request)
-        payload = payload if len(payload) <= self._largest else b""
-        return Question(key, payload, answer, _nothing, write_attachment(0, 0, bytes(16)))
+    def _asked_of(
+        self, end: Any, key: str, request: _Half, response: _Half, depth: int
+    ) -> list[Question]:
+        """What waits at a service; C says of what cannot be read that it took nothing."""
+        found: list[Question] = []
+        for _ in range(depth):
+            header = ctypes.create_string_buffer(_HEADER)
+            if self._take_request(end.handle.pointer, header, request.message):
+                if not self._has_failed():
+                    break
+                self._forget()
+                continue
+            taken = _Bytes(allocator=self._allocator())
+            self._serialize(request.message, request.support, ctypes.byref(taken))
+            request.renew()
+            if "SendGoal_" in key:  # its client may be new in the graph
+                self._looks_at = 0.0
+            answer = partial(self._answer, end, header, response)
+            nobody = write_attachment(0, 0, bytes(16))
+            found.append(Question(key, self._payload(taken), answer, _nothing, nobody))
+            self._free(ctypes.byref(taken))
+        return found
+
+    def _answer(
+        self, end: Any, header: Any, half: _Half, key: str, payload: bytes, attachment: bytes = b""
+    ) -> None:
+        held = ctypes.create_string_buffer(payload, len(payload))
+        data = _Bytes(ctypes.addressof(held), len(payload), len(payload), self._allocator())
+        self._deserialize(ctypes.byref(data), half.support, half.message)
+        if self._send(end.handle.pointer, header, half.message):
+            _logger.debug("%s: not answered", key)  # rclpy has ended, or the client has
+            self._forget()
 
     # -- the rest of the graph --------------------------------------------------------------------
 
@@ -274,6 +354,9 @@ class DdsBus:
 
         def look() -> list[TokenChange]:
             nonlocal known
+            if time.monotonic() < self._looks_at:
+                return []
+            self._looks_at = time.monotonic() + _LOOK_S
             before, known = known, set(self._others())
             changed = sorted(before ^ known, key=known.__contains__)  # those that are gone first
             return [TokenChange(one, one in known) for one in changed]
@@ -366,6 +449,7 @@ async def open_dds(domain: int, largest: int) -> AsyncIterator[DdsBus]:
         try:
             middleware = rclpy.utilities.get_rmw_implementation_identifier()
             acks = is_fast and middleware.startswith("rmw_fastrtps")
-            yield DdsBus(rclpy, context, domain, largest, hears_acks=acks)
+            with closing(DdsBus(rclpy, context, domain, largest, hears_acks=acks)) as bus:
+                yield bus
         finally:
             rclpy.shutdown(context=context)

@@ -227,6 +227,7 @@ class GraphDiscovery:
 
     def clients(self, service: str) -> Mapping[str, Seen]:
         """Those who can call a service, by their tokens."""
+        self.look()
         return {
             key: one
             for key, one in self._seen.items()
