@@ -393,7 +393,7 @@ _GUARDS = (
     ),
     (re.compile(r",? or (switch the guard off: |control\(guards=)?Guards\(.*"), ""),
 )
-"""What a remedy says of an argument of a program, and what a client of an agent can do instead."""
+"""The part of a remedy that only a program can carry out, and what an agent's client can do."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -316,7 +316,7 @@ class DdsBus:
     def _asked_of(
         self, end: Any, key: str, request: _Half, response: _Half, depth: int
     ) -> list[Question]:
-        """What waits at a service; C says of what cannot be read that it took nothing."""
+        """The requests that wait. C says of one that it cannot read that it took nothing."""
         found: list[Question] = []
         for _ in range(depth):
             header = ctypes.create_string_buffer(_HEADER)

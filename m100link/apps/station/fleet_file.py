@@ -229,19 +229,19 @@ _OF_START = (_CUT, _UNLINKED, _KEY)  # of a fleet whose parts are not all there 
 async def examine(rights: Rights, tell: Callable[[str], None] = lambda _: None) -> list[FleetFault]:
     """The faults of a fleet that runs; ``tell`` takes what is well.
 
-    Each operator whose signing key lies beside the file proves the own rights. What is not there
-    is looked for again for a while: `fleet up` may still be starting it.
+    Each operator whose signing key lies beside the file proves the own rights. It looks again for
+    absent parts for a while: `fleet up` may still be starting them.
 
     Raises ``UsageError``: there is no authority beside the file.
     """
-    clock, told = asyncio.get_running_loop().time, set[str]()
+    clock, shown = asyncio.get_running_loop().time, set[str]()
     until = clock() + _START_S
     while True:
         well: list[str] = []
         found = await _examined(rights, well.append)
-        for text in (one for one in well if one not in told):
+        for text in (one for one in well if one not in shown):
             tell(text)
-        told.update(well)
+        shown.update(well)
         if clock() >= until or not any(one.fault in _OF_START for one in found):
             return found
         await asyncio.sleep(_AGAIN_S)

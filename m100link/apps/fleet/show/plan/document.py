@@ -537,7 +537,7 @@ def imported(
         BadShow: A file cannot be read, or is no track.
     """
     ahead, right = math.cos(math.radians(orientation_deg)), math.sin(math.radians(orientation_deg))
-    aircraft = []
+    aircraft: list[dict[str, Any]] = []
     for path in files:
         try:
             samples = list(_samples(read_file(path)))
@@ -623,7 +623,7 @@ def _of_skybrush(data: bytes) -> Iterator[_Sample]:
     if not scale or kind != 1 or end > len(data):
         raise ValueError("it has no whole track")
     at += 12
-    yield (when, *(one * scale for one in here))  # type: ignore[misc] # three of them
+    yield (when, *(one * scale for one in here))
     while at < end:
         counts, seconds = data[at], int.from_bytes(data[at + 1 : at + 3], "little") / 1000
         axes, at = [], at + 3
