@@ -15,6 +15,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import platform
 import socket
 import subprocess
 import sys
@@ -23,6 +24,7 @@ from collections import Counter
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -146,7 +148,9 @@ class Measured:
         alone = f"{self.alone_s:.3f} of a core for all that are told"
         before, after = self.bare_us
         bare = f"{before:.1f} µs before and {after:.1f} after"
+        engine = f"zenoh {version('eclipse-zenoh')}, Python {platform.python_version()}"
         lines = [
+            f"{engine}, {os.cpu_count()} processors, {platform.machine()}",
             f"{self.told} told and {self.flying} flying, {self.seconds:g} s, {load}: {rate}",
             f"received {self.received:.4%}: {kinds}; fewest {self.slowest:.2f} packages/s",
             f"CPU for a message {self.us:.1f} µs: {parts}, watcher {self.watcher_us:.1f}",

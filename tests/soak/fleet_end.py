@@ -17,6 +17,7 @@ from collections import Counter
 from collections.abc import Callable
 from contextlib import AsyncExitStack
 from dataclasses import dataclass, field
+from typing import Any
 
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.messages import State, Telemetry
@@ -52,9 +53,9 @@ class _CountedOutlet(Outlet):
         self.sent[self.kind] += 1
         self.outlet.put(payload, attachment)
 
-    def put_later(self, make: Callable[[], bytes]) -> None:
+    def put_later(self, make: Callable[..., bytes], *what: Any) -> None:
         self.sent[self.kind] += 1
-        self.outlet.put_later(make)
+        self.outlet.put_later(make, *what)
 
     def is_wanted(self) -> bool:
         return self.outlet.is_wanted()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import replace
+from importlib.metadata import version
 from typing import Any
 
 import pytest
@@ -41,6 +42,7 @@ def test_a_dozen_aircraft_are_heard_and_counted() -> None:
     assert set(measured.levels) == {"router", "told 0", "told 1", "flying", "watcher"}
     assert measured.router_us >= 0 < measured.watcher_us, text
     assert min(measured.bare_us) > 0, text
+    assert f"zenoh {version('eclipse-zenoh')}, Python 3." in text
 
 
 @pytest.mark.parametrize(

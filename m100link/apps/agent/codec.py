@@ -186,6 +186,13 @@ class Fields:
         self._kind = kind
         names = [one.name for one in dataclasses.fields(kind) if one.name not in beside]
         self._codecs = {one: _codec(hints[one], f"{kind.__name__}.{one}") for one in names}
+        # Numbers and truth values go as they are: no turn of a loop for each of them.
+        self._get = attrgetter(*names, "__class__", "__class__")  # of one name it is no tuple
+        self._written = [
+            (name, write or _write_text)
+            for name, (write, plain, _) in self._codecs.items()
+            if write is not None or str in plain
+        ]
 
     def write(self, value: Any) -> dict[str, Any]:
         """The fields as JSON takes them.
@@ -193,14 +200,10 @@ class Fields:
         Raises:
             InvalidValue: Bytes are too long. Texts are cut.
         """
-        found = {}
-        for name, (write, _, _) in self._codecs.items():
-            one = getattr(value, name)
-            if write is not None and one is not None:
-                one = write(one)
-            elif type(one) is str and len(one) > MAX_TEXT:
-                one = _write_text(one)
-            found[name] = one
+        found = dict(zip(self._codecs, self._get(value), strict=False))
+        for name, write in self._written:
+            if found[name] is not None:
+                found[name] = write(found[name])
         return found
 
     def read(self, value: Any) -> Any:
@@ -302,13 +305,17 @@ def _unpack_steer(data: bytes) -> Steer:
 
 
 def _pack_telemetry(message: Telemetry) -> bytes:
-    if len(message.value) > MAX_BYTES:
+    return pack_telemetry(message.value, message.profile, message.received_at)
+
+
+def pack_telemetry(value: bytes, profile: str, received_at: float) -> bytes:
+    """The bytes of a :class:`~m100link.apps.agent.messages.Telemetry`, a hundred times a second."""
+    if len(value) > MAX_BYTES:
         raise InvalidValue(f"more than {MAX_BYTES} bytes")
-    if not math.isfinite(message.received_at):
+    if not math.isfinite(received_at):
         raise InvalidValue("not a finite number")
-    profile = message.profile.encode()
-    head = _TELEMETRY.pack(_IS_TELEMETRY, message.received_at, len(profile))
-    return head + profile + message.value
+    name = profile.encode()
+    return _TELEMETRY.pack(_IS_TELEMETRY, received_at, len(name)) + name + value
 
 
 def _unpack_telemetry(data: bytes) -> Telemetry:

@@ -13,7 +13,6 @@ import logging
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from time import perf_counter
 from typing import Any, Protocol, TypeVar
 
@@ -72,9 +71,9 @@ class Outlet(Held, Protocol):
     def put(self, payload: bytes, attachment: bytes | None = None) -> None:
         """Send one; never waits, and a message that the network does not take is lost."""
 
-    def put_later(self, make: Callable[[], bytes]) -> None:
+    def put_later(self, make: Callable[..., bytes], *what: Any) -> None:
         """Send what this makes when it goes: at once, where it does not wait for others."""
-        self.put(make())
+        self.put(make(*what))
 
     def is_wanted(self) -> bool:
         """Whether anybody is known to listen; kept messages are for late listeners."""
@@ -287,24 +286,28 @@ class Bundle:
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         self._loop = loop
-        self._waiting: deque[Callable[[], None]] = deque()
+        self._waiting: deque[tuple[Callable[..., None], tuple[Any, ...]]] = deque()
         self._timer: asyncio.TimerHandle | None = None
+        self._within = 0.0  # how long the first that waits for the timer may wait, s
 
-    def put(self, send: Callable[[], None], within: float) -> None:
+    def put(self, within: float, send: Callable[..., None], *what: Any) -> None:
         """Let one wait for so many seconds at most."""
-        self._waiting.append(send)
-        if self._timer is None or self._timer.when() > self._loop.time() + within:
+        self._waiting.append((send, what))
+        if self._timer is None or (
+            within < self._within and self._timer.when() > self._loop.time() + within
+        ):
             self._send_in(within)
 
     def _send_in(self, seconds: float) -> None:
         if self._timer is not None:
             self._timer.cancel()
-        self._timer = self._loop.call_later(seconds, self._send)
+        self._timer, self._within = self._loop.call_later(seconds, self._send), seconds
 
     def _send(self) -> None:
         self._timer = None
         for _ in range(min(_SENT_AT_ONCE, len(self._waiting))):
-            _do(self._waiting.popleft())
+            send, what = self._waiting.popleft()
+            _do(send, *what)
         if self._waiting:
             self._send_in(_NEXT_S)
 
@@ -320,10 +323,10 @@ class BatchingPublisher(Outlet):
         self._outlet, self._bundle, self._within = outlet, bundle, within
 
     def put(self, payload: bytes, attachment: bytes | None = None) -> None:
-        self._bundle.put(partial(self._outlet.put, payload, attachment), self._within)
+        self._bundle.put(self._within, self._outlet.put, payload, attachment)
 
-    def put_later(self, make: Callable[[], bytes]) -> None:
-        self._bundle.put(partial(self._outlet.put_later, make), self._within)
+    def put_later(self, make: Callable[..., bytes], *what: Any) -> None:
+        self._bundle.put(self._within, self._outlet.put_later, make, *what)
 
     def is_wanted(self) -> bool:
         return self._outlet.is_wanted()

@@ -19,16 +19,18 @@ from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 from typing import Any, TypeVar
+from weakref import WeakKeyDictionary
 
 import m100link
 from m100link.apps.agent import orders
+from m100link.apps.agent.background import goes_on
 from m100link.apps.agent.client import AgentClient, Hearing
+from m100link.apps.agent.codec import pack_telemetry
 from m100link.apps.agent.messages import (
     Event,
     EventTopic,
     MessageError,
     RemoteError,
-    Telemetry,
     fault_of,
 )
 from m100link.apps.agent.orders import Age, Right
@@ -43,7 +45,7 @@ from m100link.apps.fleet.order_log import AuditLog, OrderCache, OrderLog
 from m100link.apps.fleet.orders import OrderService
 from m100link.apps.fleet.publisher import WALL_WITHIN_S, Thinner
 from m100link.errors import GuardRefused, M100Error, NotAllowed, OutcomeUnknown, UsageError
-from m100link.protocol.records import Battery, Position
+from m100link.protocol.records import Battery, FlightPhase, Position
 from m100link.telemetry.sample import Sample
 
 HOLD_S = 0.5
@@ -67,6 +69,8 @@ _MOST_WAITING = 16
 _AS_GOOD_AS_NEW_S = 0.05
 """Seconds in which all questions about it get the same answer: flying comes before questions."""
 _LONG_ORDER_PAUSE_S = 0.02
+
+_PHASES = {phase: phase.name.lower().replace("_", " ") for phase in FlightPhase}
 
 T = TypeVar("T")
 
@@ -163,6 +167,8 @@ class FleetAgent:
             self.client.on_sample.append(self._on_sample)
             for token in (keys.live_by(bus.session), keys.live_beside):
                 hold(bus.declare(token))
+            self._tell_state()
+            stack.callback(_each_second(keys.name, self._tell_state))
             self._tell_damage()
             self._order_log.tell = partial(self.client.note, level="error")
             self._lost.inherit(self._order_log.last_flight)
@@ -170,7 +176,6 @@ class FleetAgent:
                 async with asyncio.TaskGroup() as group:
                     group.create_task(self._last_flight.keep())
                     group.create_task(self._answer_long())
-                    group.create_task(self._tell_state())
                     if self._disks is not None:
                         group.create_task(self._look_at_disks(self._disks))
             finally:
@@ -223,23 +228,17 @@ class FleetAgent:
         is_for_wall = self._thinner.goes_on(sample.flags, sample.received_at)
         is_watched = self._full.is_wanted()
         if is_for_wall:
-            self._wall.put_later(partial(_package, sample))
+            self._wall.put_later(_package, sample)
         if is_watched:
             self._full.put(_package(sample))
 
-    async def _tell_state(self) -> None:
-        # Of hundreds that were begun together and reported at one moment, some would be lost. So
-        # each has one of twenty moments, and shares it: to wake for each would cost as much again.
-        moments = round(_CARD_S / WALL_WITHIN_S)
-        own = zlib.crc32(self._keys.name.encode()) % moments * WALL_WITHIN_S
-        clock = asyncio.get_running_loop().time
-        due = clock() + (own - clock()) % _CARD_S
-        while True:
-            self._state.put_later(lambda: payloads.pack(self.card()))
-            self._look_for_duplicates()
-            self._ages.look(self.client.now)
-            await asyncio.sleep(max(0.0, due - clock()))
-            due += _CARD_S * (1 + max(0.0, clock() - due) // _CARD_S)
+    def _tell_state(self) -> None:
+        self._state.put_later(self._packed)
+        self._look_for_duplicates()
+        self._ages.look(self.client.now)
+
+    def _packed(self) -> bytes:
+        return payloads.pack(self.card())
 
     async def _look_at_disks(self, disks: Callable[[], M100Error | None]) -> None:
         while True:
@@ -257,6 +256,8 @@ class FleetAgent:
     def _look_for_duplicates(self) -> None:
         """An operator would see two aircraft as one: the aircraft hovers, and reports it."""
         client, had = self.client, self._is_duplicate
+        if not had and not self.duplicates:
+            return
         self._is_duplicate = self.duplicates.is_there(client.now)
         if self._is_duplicate and not had:
             text = f"another agent is named {self._keys.name}: this aircraft hovers until one ends"
@@ -283,7 +284,7 @@ class FleetAgent:
             or state.pattern
             or (state.guided.what if state.guided else "")
             or self.missions.words,
-            phase="" if phase is None else phase.name.lower().replace("_", " "),
+            phase="" if phase is None else _PHASES[phase],
             height_m=position.height_m if position is not None else None,
             latitude_deg=position.latitude_deg if position is not None else None,
             longitude_deg=position.longitude_deg if position is not None else None,
@@ -474,8 +475,51 @@ class FleetAgent:
         self._orders.refused = error
 
 
+class _Moment:
+    """One of twenty moments of a second, at which many agents of a process tell of themselves.
+
+    Of hundreds at one moment some would be lost, and a timer for each would cost as much again.
+    """
+
+    def __init__(self, loop: asyncio.AbstractEventLoop, after_s: float) -> None:
+        self._loop, self.tells = loop, list[Callable[[], None]]()
+        self._due = loop.time() + (after_s - loop.time()) % _CARD_S
+        self._timer = loop.call_at(self._due, self._tell)
+
+    def _tell(self) -> None:
+        late = max(0.0, self._loop.time() - self._due)
+        self._due += _CARD_S * (1 + late // _CARD_S)
+        self._timer = self._loop.call_at(self._due, self._tell)
+        for tell in self.tells.copy():
+            with goes_on("the state of an agent"):
+                tell()
+
+    def leave(self, tell: Callable[[], None]) -> None:
+        self.tells.remove(tell)
+        if not self.tells:
+            self._timer.cancel()
+
+
+_MOMENTS = round(_CARD_S / WALL_WITHIN_S)
+_moments: WeakKeyDictionary[asyncio.AbstractEventLoop, dict[int, _Moment]] = WeakKeyDictionary()
+
+
+def _each_second(name: str, tell: Callable[[], None]) -> Callable[[], None]:
+    """Call it once a second, at the moment of that name; returns what ends that."""
+    loop, which = asyncio.get_running_loop(), zlib.crc32(name.encode()) % _MOMENTS
+    known = _moments.setdefault(loop, {})
+    moment = known.get(which)
+    if moment is None or not moment.tells:
+        moment = known[which] = _Moment(loop, which * WALL_WITHIN_S)
+    moment.tells.append(tell)
+    return partial(moment.leave, tell)
+
+
+_VERSION = bytes([payloads.VERSION])
+
+
 def _package(sample: Sample) -> bytes:
-    return payloads.pack(Telemetry(sample.value, sample.profile.name, sample.received_at))
+    return _VERSION + pack_telemetry(sample.value, sample.profile.name, sample.received_at)
 
 
 def _begun_before() -> OutcomeUnknown:
@@ -516,6 +560,10 @@ class DuplicateNames:
         if boot in self._heard or len(self._heard) < _MOST:
             first, _ = self._heard.get(boot, (now, now))
             self._heard[boot] = first, now
+
+    def __bool__(self) -> bool:
+        """Whether any was heard."""
+        return bool(self._heard)
 
     def is_there(self, now: float) -> bool:
         return any(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import lru_cache
 
 from m100link.errors import UsageError
 
@@ -38,6 +39,7 @@ def in_order(names: Iterable[str]) -> list[str]:
     return sorted(names, key=parts)
 
 
+@lru_cache(maxsize=4096)  # each message of each aircraft asks, and there are a thousand of them
 def name_in(key: str) -> str:
     """The name of the aircraft in a key of :class:`Keys`; empty in any other.
 

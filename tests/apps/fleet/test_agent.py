@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
 import uuid
+from collections import Counter
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
@@ -19,7 +21,7 @@ from m100link.apps.agent.messages import Event, Steer, Telemetry
 from m100link.apps.agent.orders import FlyTo
 from m100link.apps.agent.transports import memory_channels
 from m100link.apps.bus.network import Held
-from m100link.apps.fleet.agent import FleetAgent
+from m100link.apps.fleet.agent import FleetAgent, _each_second, _moments
 from m100link.apps.fleet.expiry import Dropped
 from m100link.apps.fleet.keys import Keys
 from m100link.apps.fleet.logs.service import LogService
@@ -739,3 +741,32 @@ async def test_an_order_of_a_program_that_does_not_know_the_time_yet_is_logged_o
     with pytest.raises(GuardRefused, match="it is older than 5 s"):
         await late["a1"].asker.ask(orders.Land(), clock=1.0)
     assert [(line["by"], line["outcome"]) for line in lines] == [("late", "refused")]
+
+
+# -- a timer for all agents of a process ----------------------------------------------------------
+
+
+async def test_agents_tell_each_second_by_twenty_timers_at_most() -> None:
+    told, ends = Counter[str](), []
+    names = [f"a{number}" for number in range(200)]
+
+    def tell(name: str) -> None:
+        told[name] += 1
+        if name == "a7":
+            raise ValueError("one that fails keeps no other from telling")
+
+    for name in names:
+        ends.append(_each_second(name, partial(tell, name)))
+    timers = _moments[asyncio.get_running_loop()]
+    assert len(timers) <= 20
+    await anyio.sleep(9.97)
+    assert {told[name] for name in names} == {10}
+    for end in ends:
+        end()
+    await anyio.sleep(5.0)
+    assert told.total() == 2000
+    assert all(timer._timer.cancelled() for timer in timers.values())
+    end = _each_second("a7", partial(tell, "later"))
+    await anyio.sleep(2.01)
+    assert told["later"] == 2
+    end()
