@@ -76,7 +76,7 @@ _OF_PANEL = {
     "rosbridge": "port also_ports pages max_clients",
     "Console": "console_port tiles video",
     "Access": "host token_file allow_host allow_origin tls_cert tls_key",
-    "MAVLink": "mavlink mavlink_to sysid signing_key_file",
+    "MAVLink": "mavlink mavlink_to sysid autopilot signing_key_file",
     "ROS 2": "ros2 ros2_rmw ros2_namespace ros2_node ros2_domain ros2_remap ros2_dji_names",
     "Foxglove and Prometheus": "foxglove_port metrics_port",
     "Flight logs": "record no_record record_keep record_keep_mb",

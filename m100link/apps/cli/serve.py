@@ -465,7 +465,7 @@ class MavlinkOptions(
     layer_of_settings(  # type: ignore[misc] # a class that is made
         (
             *OF_THE_AIRCRAFT,
-            *("mavlink", "mavlink_to", "sysid", "signing_key_file"),
+            *("mavlink", "mavlink_to", "sysid", "autopilot", "signing_key_file"),
         ),
         {"mavlink": "--listen", "mavlink_to": "--to"},
     )

@@ -36,6 +36,7 @@ from m100link.apps.mavlink.translator.codec import (
     ending_command,
     write_frame,
 )
+from m100link.apps.mavlink.translator.numbers import AUTOPILOT_PX4
 from m100link.apps.mavlink.translator.vehicle import COMPONENT, MavlinkVehicle
 from m100link.errors import UsageError
 from m100link.errors.texts import read_json
@@ -116,9 +117,9 @@ class Peers:
 class _Craft:
     """An aircraft: what translates, and what asks the agent."""
 
-    def __init__(self, agent: AgentClient, system: int, logs: Path | None) -> None:
+    def __init__(self, agent: AgentClient, system: int, autopilot: int, logs: Path | None) -> None:
         session = ControlSession(agent, "MAVLink")
-        self.vehicle = MavlinkVehicle(agent, session, system, logs)
+        self.vehicle = MavlinkVehicle(agent, session, system, autopilot, logs)
         flights = self.vehicle.flights
         self.executor = OrderExecutor(agent, self.vehicle.world, self.vehicle.manager, flights)
         # By address and our component: a peer that counts gaps must not count messages to another
@@ -141,6 +142,7 @@ class Bridge:
         # Takes all that waits to be read; a datagram may be cut off behind LONGEST_COMMAND bytes.
         drain: Callable[[], Iterable[tuple[bytes, Address]]] = tuple,
         signer: PacketSigner | None = None,  # signs what goes out, and refuses what is not signed
+        autopilot: int = AUTOPILOT_PX4,  # MAV_AUTOPILOT of the heartbeat
         logs: Path | None = None,  # the folder of flight logs; None where nothing is recorded
     ) -> None:
         for system in agents:
@@ -154,7 +156,7 @@ class Bridge:
         self._signer = signer
         self._clock = asyncio.get_running_loop().time
         self.peers = Peers(to)
-        self._crafts = [_Craft(agent, system, logs) for system, agent in agents.items()]
+        self._crafts = [_Craft(agent, system, autopilot, logs) for system, agent in agents.items()]
         self.vehicles = [craft.vehicle for craft in self._crafts]  # as they are translated
         for vehicle in self.vehicles:
             vehicle.files.on_answer = lambda: self._flush(self._clock())

@@ -88,6 +88,7 @@ class Settings:
         mavlink_to: Send MAVLink to this address first, such as udp://127.0.0.1:14540 of a program
             that listens; repeatable.
         sysid: MAVLink system id of the first aircraft, 1 to 250; further ones count up.
+        autopilot: Autopilot in the heartbeat: px4, which ground stations know, or generic.
         signing_key_file: File with the MAVLink signing key: 64 hex digits, readable by you alone.
             Messages that are not signed with it move nothing.
         ros2: Run a ROS 2 node: every program in its graph can fly.
@@ -140,6 +141,7 @@ class Settings:
     mavlink: tuple[str, ...] = ()
     mavlink_to: tuple[str, ...] = ()
     sysid: int = 1
+    autopilot: str = "px4"
     signing_key_file: Path | None = None
     ros2: bool = False
     ros2_rmw: str = "zenoh"

@@ -18,6 +18,7 @@ from m100link.apps.mavlink.bridge import (
     signature_time,
 )
 from m100link.apps.mavlink.translator.codec import LONGEST_COMMAND, Address, PacketSigner
+from m100link.apps.mavlink.translator.numbers import AUTOPILOT_GENERIC, AUTOPILOT_PX4
 from m100link.apps.station.config import Settings
 from m100link.apps.station.listeners import Fronts, beside, bound
 from m100link.apps.station.web.access_control import is_loopback
@@ -26,6 +27,8 @@ from m100link.link.keyfile import read_key
 from m100link.log.folder import state_folder
 
 _logger = logging.getLogger(__name__)
+
+AUTOPILOTS = {"px4": AUTOPILOT_PX4, "generic": AUTOPILOT_GENERIC}  # what the heartbeat may say
 
 _MOST_WAYS = 64
 _MOST_WAITING = 100_000
@@ -41,6 +44,10 @@ def prepare(stack: AsyncExitStack, settings: Settings) -> list[socket.socket]:
     and their messages are unsigned. Raises ``PortBusy, PortFailed``: a port is taken, or an
     address cannot be bound.
     """
+    if settings.autopilot not in AUTOPILOTS:
+        raise UsageError(
+            f"there is no autopilot {settings.autopilot!r}", remedy=" or ".join(AUTOPILOTS)
+        )
     addresses = [read_address(one) for one in settings.mavlink]
     for one in [*addresses, *map(read_address, settings.mavlink_to)]:
         if not is_loopback(one[0]) and settings.signing_key_file is None:
@@ -95,6 +102,7 @@ async def serving_mavlink(
         drain=drain,
         to=tuple(map(read_address, settings.mavlink_to)),
         signer=signer,
+        autopilot=AUTOPILOTS[settings.autopilot],
         logs=None if settings.no_record else settings.record,
     )
 

@@ -511,8 +511,8 @@ STATIONS: list[tuple[str, dict[str, dict[str, Any]], dict[str, Any]]] = [
         {"with_rosbridge": False},
     ),
     (
-        "mavlink tcp://a:1 --to udp://127.0.0.1:5 --sysid 7",
-        {"m100": {"mavlink_to": ("udp://127.0.0.1:5",), "sysid": 7}},
+        "mavlink tcp://a:1 --to udp://127.0.0.1:5 --sysid 7 --autopilot generic",
+        {"m100": {"mavlink_to": ("udp://127.0.0.1:5",), "sysid": 7, "autopilot": "generic"}},
         {"with_rosbridge": False},
     ),
     (

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from enum import IntEnum, IntFlag
 
+AUTOPILOT_GENERIC, AUTOPILOT_PX4 = 0, 12  # MAV_AUTOPILOT
+
 
 class MavResult(IntEnum):
     """MAV_RESULT: what becomes of a command."""

@@ -88,9 +88,10 @@ class MavlinkVehicle:
         known: AgentClient,
         session: ControlSession,
         system: int,
+        autopilot: int,
         logs: Path | None = None,  # the folder of its flight logs; None where nothing is recorded
     ) -> None:
-        self.system = system
+        self.system, self._autopilot = system, autopilot
         # Messages to send: to which peer, to which addresses, or None for everybody.
         self.outbox: list[tuple[MavlinkMessage, Peer | tuple[Address, ...] | None]] = []
         self.world = VehicleState(known, session)  # what is known of the aircraft
@@ -517,7 +518,7 @@ class MavlinkVehicle:
             self._send(message)
 
     def _heartbeat(self) -> MavlinkMessage:
-        return heartbeat(self.world, self.manager.mode)
+        return heartbeat(self.world, self.manager.mode, self._autopilot)
 
     def _tell_state(self, now: float, audience: telemetry.Audience) -> None:
         beat = self._heartbeat()

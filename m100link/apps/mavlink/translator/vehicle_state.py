@@ -390,7 +390,7 @@ def current(mode: Mode) -> MavlinkMessage:
     return MavlinkMessage("CURRENT_MODE", fields)
 
 
-def heartbeat(world: VehicleState, mode: Mode) -> MavlinkMessage:
+def heartbeat(world: VehicleState, mode: Mode, autopilot: int) -> MavlinkMessage:
     row, is_armed = MODES[mode], world.is_armed
     battery = world.known.view.get(Battery)
     is_low = battery is not None and battery.percent < LOWEST_BATTERY and is_armed
@@ -398,7 +398,7 @@ def heartbeat(world: VehicleState, mode: Mode) -> MavlinkMessage:
     fields = {
         "custom_mode": row.number,
         "type": 2,
-        "autopilot": 12,  # MAV_AUTOPILOT_PX4, which ground stations know
+        "autopilot": autopilot,
         "base_mode": BaseMode.CUSTOM | row.base | (BaseMode.ARMED if is_armed else 0),
         "system_status": SystemStatus.CRITICAL if is_low else status,
         "mavlink_version": 3,

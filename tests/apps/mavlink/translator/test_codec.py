@@ -511,5 +511,5 @@ def test_each_message_that_is_sent_or_read_is_defined() -> None:
     assert len(made) > 15
     assert made - LAYOUTS.keys() == set()
     known: Any = Known()
-    read = MavlinkVehicle(known, session_of(known), 1)._handlers
+    read = MavlinkVehicle(known, session_of(known), 1, 12)._handlers
     assert read.keys() - LAYOUTS.keys() == set()

@@ -410,7 +410,7 @@ def vehicle(*values: Any, **state: Any) -> MavlinkVehicle:
     known: Any = Known(*values).flown()
     known.state = replace(known.state, **state)
     known.note = lambda *_: None
-    return MavlinkVehicle(known, session_of(known), 1)
+    return MavlinkVehicle(known, session_of(known), 1, 12)
 
 
 def test_sticks_are_speeds_in_position_mode_and_tilts_in_altitude_mode() -> None:

@@ -242,7 +242,7 @@ def test_the_state_of_the_agent_is_read_each_time() -> None:
     ],
 )
 def test_the_heartbeat_is_armed_where_motors_may_turn(known: Known, status: int, base: int) -> None:
-    found = heartbeat(world_of(known), Mode.OFFBOARD)
+    found = heartbeat(world_of(known), Mode.OFFBOARD, 12)
     assert (found["type"], found["autopilot"], found["mavlink_version"]) == (2, 12, 3)
     assert found["custom_mode"] == 6 << 16
     assert (found["system_status"], found["base_mode"]) == (status, base)
