@@ -404,23 +404,3 @@ if not TYPE_CHECKING:  # a checker that saw it would take every misspelt name fo
 
 def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})
-
-
-def _loads(room: str, *places: str) -> object:
-    """A ``__getattr__`` of a room that loads a public name from these modules when it is asked for.
-
-    Its names are in the first of them that has it.
-    """
-
-    def load(name: str) -> object:
-        from importlib import import_module
-
-        here = vars(sys.modules[room])
-        for place in places if name in here["__all__"] else ():
-            module = import_module(f"{room}.{place}")
-            if hasattr(module, name):
-                here[name] = getattr(module, name)
-                return here[name]
-        raise AttributeError(f"module {room!r} has no attribute {name!r}")
-
-    return load

@@ -23,6 +23,6 @@ __all__ = [
 ]
 
 if not TYPE_CHECKING:  # a checker that saw it would take every misspelt name for a name
-    from m100link import _loads
+    from m100link.errors.usage import loads
 
-    __getattr__ = _loads(__name__, "connecting", "aircraft", "payload")
+    __getattr__ = loads(__name__, "connecting", "aircraft", "payload")

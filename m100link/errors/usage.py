@@ -33,6 +33,24 @@ class UsageError(
     """The call itself is wrong; nothing was sent."""
 
 
+def loads(room: str, *places: str) -> Callable[[str], Any]:
+    """A ``__getattr__`` of a room that loads a public name from these modules when it is asked for.
+
+    Its names are in the first of them that has it.
+    """
+
+    def load(name: str) -> Any:
+        here = vars(sys.modules[room])
+        for place in places if name in here["__all__"] else ():
+            module = import_module(f"{room}.{place}")
+            if hasattr(module, name):
+                here[name] = getattr(module, name)
+                return here[name]
+        raise AttributeError(f"module {room!r} has no attribute {name!r}")
+
+    return load
+
+
 INSTALL = "pip install '.[{}]' in a clone of m100link"
 """How an extra is installed. Nobody owns the name m100link at PyPI: a release changes this line."""
 

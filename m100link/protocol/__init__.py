@@ -90,6 +90,6 @@ __all__ += codes.__all__
 __all__ += records.__all__
 
 if not TYPE_CHECKING:  # a checker that saw it would take every misspelt name for a name
-    from m100link import _loads
+    from m100link.errors.usage import loads
 
-    __getattr__ = _loads(__name__, "commands.activation", "commands.monitor")
+    __getattr__ = loads(__name__, "commands.activation", "commands.monitor")

@@ -412,10 +412,11 @@ async def test_in_this_process() -> None:
 @pytest.mark.anyio
 async def test_through_a_socket(tmp_path: Path) -> None:
     virtual = VirtualAircraft(seed=5)
-    server = CtlServer([virtual], tmp_path / "orders.sock")
+    path = tmp_path / "orders.sock"
+    server = CtlServer([virtual], path)
     await server.start()
     try:
-        await is_obeyed(await orders_by_socket(server.path), virtual)
+        await is_obeyed(await orders_by_socket(path), virtual)
     finally:
         await server.stop()
     with pytest.raises(M100Error):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -273,11 +274,14 @@ def test_the_domain_of_ros_is_looked_at_by_who_speaks_ros() -> None:
     with pytest.raises(UsageError, match="ROS_DOMAIN_ID cannot be 'base'"):
         resolve({"ros2": True}, wrong)
     own = {"ros2": True, "ros2_domain": 3}
-    in_file = {"of_aircraft": lambda _: [("own", own)]}
-    assert resolve({}, {}, **in_file).ros2_domain == 3
-    found = resolve({}, right, **in_file)
+
+    def in_file(_: object) -> list[tuple[str, dict[str, Any]]]:
+        return [("own", own)]
+
+    assert resolve({}, {}, of_aircraft=in_file).ros2_domain == 3
+    found = resolve({}, right, of_aircraft=in_file)
     assert (found.ros2_domain, found.origins["ros2_domain"]) == (7, "environment")
-    assert resolve({"ros2_domain": 5}, right, **in_file).ros2_domain == 5
+    assert resolve({"ros2_domain": 5}, right, of_aircraft=in_file).ros2_domain == 5
 
 
 # -- videos ----------------------------------------------------------------------------------------

@@ -38,7 +38,7 @@ from m100link.flight.mission_state import MissionKind, MissionState
 from m100link.flight.missions.hotpoint import CircleHeading, CircleStart, HotpointFlight
 from m100link.flight.missions.waypoint import WaypointFlight
 from m100link.link.statistics import LinkStatistics, RoundTrips
-from m100link.log.player import FASTEST, SLOWEST
+from m100link.link.url import FASTEST, SLOWEST
 from m100link.missions.plan import Waypoint, WaypointPlan
 from m100link.protocol.codes import ActivationCode
 from m100link.protocol.commands.control import Task

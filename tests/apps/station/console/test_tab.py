@@ -9,7 +9,6 @@ import os
 import random
 import sys
 from collections.abc import Awaitable, Callable
-from functools import partial
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -33,7 +32,7 @@ from m100link.apps.agent.orders import Life
 from m100link.apps.station.console.tab import BEAT_LIFETIME, TOLD_S, Fate, Tab, _read
 from m100link.apps.station.console.view.fly import FIELDS, live, read
 from m100link.apps.station.console.view.texts import Translator, tr
-from m100link.errors import GuardRefused, LossReason, NoAuthority
+from m100link.errors import GuardRefused, LossReason, M100Error, NoAuthority
 from m100link.geodesy import LocalFrame
 from m100link.protocol.records import Attitude, Position, RcMode, Velocity
 from m100link.sim.orders import perform
@@ -429,7 +428,12 @@ async def test_a_refusal_under_a_held_key_is_set_once_and_cleared_once(
     browser = await airborne(rig)
     session, shown = browser.tab.session, [browser.problem]
     # Its answer comes from another process: later than the beat has returned.
-    session.on_refused = partial(asyncio.get_running_loop().call_later, 0.01, session.on_refused)
+    refused, loop = session.on_refused, asyncio.get_running_loop()
+
+    def refuse_later(error: M100Error) -> None:
+        loop.call_later(0.01, refused, error)
+
+    session.on_refused = refuse_later
 
     def look() -> None:
         if shown[-1] != browser.problem:
