@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import os
 import re
+import sys
 from collections.abc import Callable, Coroutine, Iterable, Mapping
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -265,7 +266,8 @@ def run_async(work: Coroutine[Any, Any, int | None]) -> int:
     """Run a command's coroutine; the caller reports errors and Ctrl-C."""
     try:
         # The usual loop of Windows watches no sockets for the servers of a station.
-        with asyncio.Runner(loop_factory=asyncio.SelectorEventLoop) as runner:
+        factory = asyncio.SelectorEventLoop if sys.platform == "win32" else None
+        with asyncio.Runner(loop_factory=factory) as runner:
             return runner.run(work) or ExitCode.OK
     except asyncio.CancelledError:  # a signal came before it ran
         return ExitCode.OK
