@@ -173,7 +173,7 @@ def test_another_program_has_the_port(simulator: Simulator) -> None:
 
 @pytest.mark.pty
 @pytest.mark.parametrize(
-    ("key", "said"), [("y", "obtained, and given back"), ("n", "nothing is wrong")]
+    ("key", "said"), [("y", "obtained, and given back"), ("n", "no stage found a fault")]
 )
 def test_a_person_is_asked_before_authority(
     tmp_path: Path, app: list[str], key: str, said: str
