@@ -24,6 +24,7 @@ from m100link.apps.cli.display import Items, items_named, reading, status
 from m100link.apps.cli.options import OUTPUT, AtMost, Firmware, group
 from m100link.apps.cli.terminal import ExitCode, OutputFormat, as_json, print_json, tell, tell_text
 from m100link.errors import LinkError, UsageError
+from m100link.errors.texts import read_json
 from m100link.link.keyfile import read_key
 from m100link.log import Recorder, read, recover
 from m100link.log.channels import COMMAND, EVENT
@@ -74,7 +75,7 @@ def layout(*, output: ToFile = None) -> int:
     """
     text = json.dumps(layout_of_panels(), indent=2) + "\n"
     if output is None:
-        return tell_text(text, json.loads(text))
+        return tell_text(text, read_json(text))
     write_new(output, text.encode())
     return tell({"file": str(output)}, f"layout in {output}")
 

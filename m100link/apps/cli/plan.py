@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 from collections.abc import Callable, Iterator
@@ -15,6 +14,7 @@ from cyclopts import Parameter
 from m100link.apps.cli.options import Above0, Force, group
 from m100link.apps.cli.terminal import ExitCode, tell, tell_text
 from m100link.errors import BadPlan, UsageError
+from m100link.errors.texts import read_json
 from m100link.geodesy import LocalFrame
 from m100link.missions import document
 from m100link.missions.checks import HOVER_MINUTES, PlanEstimate, leg_lengths
@@ -183,7 +183,7 @@ def show(
     made = reckoning.of(found)
     words = *_choices(found), f"about {made}", *(f"! {remark}" for remark in found.remarks())
     return tell(
-        {"estimate": asdict(made), "remarks": found.remarks()} | json.loads(found.to_json()),
+        {"estimate": asdict(made), "remarks": found.remarks()} | read_json(found.to_json()),
         lambda: out.print(*_pictures(found, max(20, min(out.width, 100))), sep="\n", markup=False),
         lambda: out.print("", _table(found, is_wide=out.width >= _WIDE), sep="\n"),
         lambda: out.print("", *words, sep="\n", markup=False),
@@ -294,7 +294,7 @@ def write_plan(plan: WaypointPlan, target: File, to: Literal["json", "plan"] | N
     kind = to or ("plan" if document.is_named_plan(target) else "json")
     text = plan.to_qgroundcontrol() if kind == "plan" else plan.to_json()
     if str(target) == "-":
-        return tell_text(text, json.loads(text))
+        return tell_text(text, read_json(text))
     document.write(target, text)
     return tell({"file": str(target)})
 
