@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import math
+import os
 import re
 from collections.abc import Callable, Coroutine, Generator, Iterable
 from dataclasses import asdict, fields, is_dataclass
 from enum import Enum
 from functools import partial
-from os import PathLike
 from typing import TYPE_CHECKING, Any, NoReturn, Protocol
 
 from m100link.errors import UsageError
@@ -107,7 +107,7 @@ def connect(
     baud_rate: int | None = None,
     timeout: float | None = None,
     tap: Tap | None = None,
-    record: str | PathLike[str] | Recording | None = None,
+    record: str | os.PathLike[str] | Recording | None = None,
     acceleration: str | None = None,
 ) -> Connecting:
     """Connect to an aircraft for the time of a block.
@@ -152,7 +152,7 @@ async def _open(
     baud_rate: int | None,
     timeout: float | None,
     tap: Tap | None,
-    record: str | PathLike[str] | Recording | None,
+    record: str | os.PathLike[str] | Recording | None,
     acceleration: str | None,
 ) -> Aircraft:
     _require_asyncio()
@@ -266,11 +266,11 @@ def _plain(value: Any) -> Any:
     return _KEY.sub("…", text)
 
 
-def _recorder(record: str | PathLike[str] | Recording) -> Recording:
+def _recorder(record: str | os.PathLike[str] | Recording) -> Recording:
     with of_the_system("a recording"):
         from m100link.log.recorder import Recorder
 
-    return Recorder(record) if isinstance(record, str | PathLike) else record
+    return Recorder(record) if isinstance(record, str | os.PathLike) else record
 
 
 def _both(tap: Tap | None, recorder: Recording | None) -> Tap | None:
