@@ -6,9 +6,10 @@ import asyncio
 import json
 import logging
 import socket
+import ssl
 import time
 from collections.abc import AsyncIterator, Callable, Coroutine, Iterator, Mapping
-from contextlib import AsyncExitStack, asynccontextmanager, nullcontext
+from contextlib import AsyncExitStack, asynccontextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -23,7 +24,7 @@ from m100link.apps.fleet.keys import Keys, in_order
 from m100link.apps.fleet.lost_link import LostLinkPlan
 from m100link.apps.fleet.payloads import Card, OrderReply
 from m100link.apps.fleet.pki import listed, router_config
-from m100link.apps.fleet.revocations import Revocations, in_force
+from m100link.apps.fleet.revocations import AUTHORITY, Revocations, in_force
 from m100link.apps.fleet.signing import Seal, read_signer, signing, tls_options, verifying
 from m100link.apps.station.config import Settings, resolve
 from m100link.apps.station.fleet import (
@@ -261,7 +262,7 @@ async def _examined(rights: Rights, tell: Callable[[str], None]) -> list[FleetFa
                 ) as fleet:
                     here = await _at_router(rights, router.name, who, fleet, seen)
             except UsageError as error:
-                found.append(_no_router(rights.path, router, error))
+                found.append(await asyncio.to_thread(_no_router, rights, router, error))
                 break
             found += here
             if not here:
@@ -316,12 +317,23 @@ def _of_files(rights: Rights) -> list[FleetFault]:
     return found
 
 
-def _no_router(path: Path, router: Router, error: UsageError) -> FleetFault:
+def _no_router(rights: Rights, router: Router, error: UsageError) -> FleetFault:
+    trusting = ssl.create_default_context(cafile=str(rights.pki / AUTHORITY))
     try:
-        with socket.create_connection((router.hosts[0], router.port), timeout=_PROBE_S):
+        with (
+            socket.create_connection((router.hosts[0], router.port), timeout=_PROBE_S) as probe,
+            suppress(TimeoutError),
+            trusting.wrap_socket(probe, server_hostname=router.hosts[0]),
+        ):
             pass
+    except ssl.SSLCertVerificationError as problem:
+        seen = f"the certificate of {router.name} is not of this fleet: {problem.verify_message}"
+        anew = f"m100link fleet make {rights.path}, and copy boards/{router.name} there anew"
+        return FleetFault(_KEY, router.name, seen, anew)
+    except ssl.SSLError as problem:  # it speaks something else
+        _logger.debug("%s: %s", router.name, problem)
     except OSError:
-        start = f"m100link fleet up {path} {router.name}; then look at the network to "
+        start = f"m100link fleet up {rights.path} {router.name}; then look at the network to "
         return FleetFault(_CUT, router.name, error.seen, start + router.hosts[0])
     return FleetFault(
         "port busy",

@@ -242,7 +242,9 @@ def test_a_command_that_waits_for_a_router_ends_by_its_signal(
             listener.settimeout(PATIENCE)
             stack.enter_context(listener.accept()[0])
         else:
-            assert "no router answers yet" in process.stderr.readline()
+            said = process.stderr.readline()
+            assert "no router answers yet" in said
+            assert "fleet router --listen" in said
         process.send_signal(number)
         assert process.wait(PATIENCE) == 0
 

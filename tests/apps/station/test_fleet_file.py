@@ -194,6 +194,15 @@ def port(one: Planted) -> None:
     one.after.append(take)
 
 
+def foreign(one: Planted) -> None:
+    """The router has certificates of another authority, as from another `fleet make`."""
+    other = one.rights.path.parent / "other" / "fleet.toml"
+    other.parent.mkdir()
+    other.write_text(one.path.read_text())
+    pki.make(Rights.read(other), now=datetime.now(UTC))
+    one.routers["mast"] = Rights.read(other)
+
+
 TABLE: list[tuple[Callable[[Planted], object], str, str, str, str]] = [
     (clock, "wrong clock", "a2", "the clock of a2 is 3600 s ahead of this one", "chrony"),
     (expired, "expired certificate", "bert", "of bert expired on", "m100link fleet make"),
@@ -208,6 +217,7 @@ TABLE: list[tuple[Callable[[Planted], object], str, str, str, str]] = [
     (board_key, "wrong key", "anna", "a1: the signature of anna does not fit", "public_key"),
     (version, "wrong version", "a1", "a1 has release 0.1.0, and this is", "same release"),
     (duplicate, "duplicate name", "a1", "2 agents are named a1", "end all of them but one"),
+    (foreign, "wrong key", "mast", "of mast is not of this fleet", "copy boards/mast there anew"),
     (port, "port busy", "mast", "answers, and is no router of this fleet", "another port"),
 ]
 BESIDE = {
