@@ -26,6 +26,8 @@ _INLINE = re.compile(r"`(m100link [^`]+)`")
 _NO_COMMANDS = {f"m100link {words}" for words in ("decrypted", "lease 4", "order 4", "seal 4")}
 _NO_COMMANDS |= {"m100link audit 1", "m100link track 1"}
 """What else has these words in front: a column of Wireshark, and bytes that are signed."""
+_OF_OTHERS = {"--cable", "--codec", "--workspace"}
+"""Options of programs that are no verb of m100link."""
 
 
 @cache
@@ -129,6 +131,10 @@ def test_a_verb_and_an_option_that_a_sentence_names_exist() -> None:
                 wrong.append(f"{place}: {line}: no {', '.join(options - names)}")
     assert not wrong
     assert count > 150
+    options = set[str]().union(*known.values()) | {"--help", "--version"}
+    told = {one for text in pages().values() for one in re.findall(r"`(--[a-z][a-z-]+)[ =`]", text)}
+    assert told - options <= _OF_OTHERS
+    assert len(told) > 60
 
 
 # -- run literally ---------------------------------------------------------------------------------
