@@ -66,24 +66,6 @@ def of_extra(module: str, purpose: str, extra: str, instead: str = "") -> Any:
         ) from None
 
 
-def loads(room: str, *places: str) -> Callable[[str], object]:
-    """A ``__getattr__`` of a room that loads a public name when it is asked for.
-
-    It is in the first of these modules of the room that has it.
-    """
-
-    def load(name: str) -> object:
-        here = vars(sys.modules[room])
-        for place in places if name in here["__all__"] else ():
-            module = import_module(f"{room}.{place}")
-            if hasattr(module, name):
-                here[name] = getattr(module, name)
-                return here[name]
-        raise AttributeError(f"module {room!r} has no attribute {name!r}")
-
-    return load
-
-
 class NoRouter(
     UsageError,
     code="M100-NO-ROUTER",

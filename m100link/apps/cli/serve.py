@@ -156,7 +156,8 @@ async def _running(
         enter = stack.enter_async_context
         is_apart = len(aircraft) > 1 or not (options.single_process or sys.platform == "win32")
         if is_apart:
-            begun = await enter(beginning_fronts(aircraft, **served))
+            shown = _recordings(aircraft) if served["with_console"] else ()
+            begun = await enter(beginning_fronts(aircraft, **served, recordings=shown))
         # Loaded while the other process loads the fronts.
         from m100link.apps.agent.messages import JOURNAL_LOG
         from m100link.apps.station.run import running, running_apart, running_several
@@ -175,6 +176,14 @@ async def _running(
             tell(name, event)
         one.agent.journal.on_event.append(partial(tell, name))
         yield one, getattr(one, "front", None)
+
+
+def _recordings(aircraft: dict[str, Settings]) -> list[tuple[str, str]]:
+    """The file of each recorded flight, and the firmware that is forced on it, or empty."""
+    from m100link.link.url import parse_replay
+
+    replays = [(one.url, one.firmware or "") for one in aircraft.values() if one.is_replay]
+    return [(str(parse_replay(url or "").path.absolute()), firmware) for url, firmware in replays]
 
 
 async def _are_there(aircraft: dict[str, Settings], station: Any) -> None:

@@ -25,7 +25,6 @@ from m100link.apps.station.listeners import FRONTS, Sockets, open_sockets
 from m100link.apps.station.log_output import LogOutput, in_force, writing_log
 from m100link.errors import M100Error, UsageError
 from m100link.errors.texts import read_json
-from m100link.link.url import parse_replay
 
 START_TIMEOUT = 60.0  # seconds in which a child has to run: a small computer imports slowly
 
@@ -239,6 +238,7 @@ async def beginning_fronts(
     *,
     with_console: bool = False,
     with_rosbridge: bool = True,
+    recordings: Sequence[tuple[str, str]] = (),  # files that pages will show, and their firmware
 ) -> AsyncIterator[BegunFronts]:
     """Open the sockets, and let the process of the fronts load while agents do, and connect.
 
@@ -254,11 +254,6 @@ async def beginning_fronts(
     request: dict[str, Any] = {"settings": front_settings(settings)}
     if settings.ros2 and len(aircraft) > 1:
         FRONTS["ros2"].load().check_ros2(settings, list(aircraft))  # all before anything is bound
-    recordings = [
-        (str(parse_replay(one.url).path.absolute()), one.firmware or "")
-        for one in aircraft.values()
-        if one.url is not None and one.is_replay and with_console
-    ]
     async with AsyncExitStack() as stack:
         sockets = open_sockets(
             stack, settings, with_console=with_console, with_rosbridge=with_rosbridge
@@ -270,7 +265,7 @@ async def beginning_fronts(
             request,
             lambda *_: None,  # of what happens before there is an agent the block ends
             inherited=[number for row in descriptors.values() for number in row],
-            loads=(FRONT_NICENESS, list(descriptors), recordings),
+            loads=(FRONT_NICENESS, list(descriptors), list(recordings)),
         )
         stack.push_async_callback(front.end)
         await front.begin()

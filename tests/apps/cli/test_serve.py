@@ -559,6 +559,16 @@ async def test_the_end_says_that_control_goes_back_where_there_is_some(
     assert capsys.readouterr().err.splitlines()[-1] == (end if has_authority else "ending")
 
 
+def test_recordings_are_files_with_the_firmware_that_is_forced_on_them() -> None:
+    aircraft = {
+        "a": Settings(url="replay:///a/one.mcap?speed=2", firmware="3.1"),
+        "b": Settings(url="replay:///a/two.mcap"),
+        "c": Settings(url="/dev/ttyUSB0"),
+        "d": Settings(sim=True),
+    }
+    assert serve._recordings(aircraft) == [("/a/one.mcap", "3.1"), ("/a/two.mcap", "")]
+
+
 VIRTUAL, RECORDED = Settings(sim=True), Settings(url="replay:///a.mcap")
 
 

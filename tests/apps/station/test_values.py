@@ -324,16 +324,9 @@ async def test_the_process_of_the_fronts_of_one_aircraft(
 
 
 async def test_the_fronts_read_recordings_from_the_beginning_on(children: list[Child]) -> None:
-    """By file and firmware, where a page shows them, and of aircraft that fly none."""
-    aircraft = {
-        "a": Settings(url="replay:///a/one.mcap?speed=2", firmware="3.1"),
-        "b": Settings(url="replay:///a/two.mcap"),
-        "c": Settings(url=URL),
-    }
     files = [("/a/one.mcap", "3.1"), ("/a/two.mcap", "")]
-    for with_console, read in ((True, files), (False, [])):
-        async with supervisor.beginning_fronts(aircraft, with_console=with_console):
-            assert children[-1].how["loads"][2] == read
+    async with supervisor.beginning_fronts({"a": Settings(url=URL)}, recordings=files):
+        assert children[-1].how["loads"][2] == files
 
 
 @pytest.fixture
