@@ -99,6 +99,12 @@ _ROWS = {
         ("fleet mission fly", "", "a1 survey.json", "a1 survey.json --take-off --yes"),
         ("fleet mission pause|resume|stop|progress", "", "a1", "a1 --json"),
         ("fleet show check", "", "show.json", "show.json --max-height 30"),
+        (
+            "fleet show import",
+            "",
+            "show.json a1.skyb a2.skyb --origin 52.1,4.31",
+            "show.json a1.csv --origin 52.1,4.31 --orientation 90",
+        ),
         ("fleet show preview", "", "show.json", "show.json show.svg"),
         ("fleet show fly", "", "show.json", "show.json --leave hover --yes"),
         ("fleet log list", "", "a1", "--all"),
