@@ -623,7 +623,7 @@ def _of_skybrush(data: bytes) -> Iterator[_Sample]:
     if not scale or kind != 1 or end > len(data):
         raise ValueError("it has no whole track")
     at += 12
-    yield (when, *(one * scale for one in here))
+    yield when, here[0] * scale, here[1] * scale, here[2] * scale
     while at < end:
         counts, seconds = data[at], int.from_bytes(data[at + 1 : at + 3], "little") / 1000
         axes, at = [], at + 3
