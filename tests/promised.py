@@ -100,7 +100,7 @@ def found(name: str) -> Any:
 def described(name: str, value: Any, others: Collection[int]) -> Iterator[tuple[str, str]]:
     """A name and its members, without those that it inherits from one of the others."""
     if not inspect.isclass(value):
-        yield name, signature(value) if callable(value) else constant(value)
+        yield name, signature(value) if inspect.isroutine(value) else constant(value)
         return
     line = [kind for kind in value.__mro__ if kind.__module__.startswith("m100link")]
     bases = ", ".join(base.__name__ for base in value.__bases__ if base is not object)
