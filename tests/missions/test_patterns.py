@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from m100link import UsageError, patterns
+from m100link import UsageError
+from m100link.missions import patterns
 from m100link.missions.patterns import length_m, survey
 
 FIELD = [(0.0, 0.0), (0.0, 40.0), (30.0, 40.0), (30.0, 0.0)]
