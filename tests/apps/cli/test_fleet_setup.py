@@ -231,8 +231,8 @@ def test_somebody_new_brings_a_fleet_up_by_the_lines_of_the_page(tmp_path: Path)
                 command = [sys.executable, "-m", word, *words]
                 begun.append(subprocess.Popen(command, env=environment, **here))
                 assert begun[0].stdout is not None
-                told = [begun[0].stdout.readline().split(": ")[0] for _ in range(3)]
-                assert told == ["router", "console", "virtual aircraft"]
+                told = json.loads(begun[0].stdout.readline())
+                assert (list(told)[:2], told["real"]) == (["up", "real"], False)
             else:
                 command = [sys.executable, "-m", word, *words]
                 done = subprocess.run(command, env=environment, check=False, **here)

@@ -23,7 +23,7 @@ def test_take_off_fly_and_land_from_the_shell(simulator: Simulator, app: list[st
         command, *numbers = arguments
         outcome = process(command, simulator.port, *numbers, "--yes", *app)
         assert outcome.status == 0, outcome
-        assert f"done: {what}" in outcome.out
+        assert f'"done": "{what}' in outcome.out
     [line] = process("monitor", simulator.port, "--json", "--duration", "1.2").objects
     assert line["position"]["value"]["height_m"] == pytest.approx(0.0, abs=0.3)
     assert line["flight_status"]["value"] == {"status": 1}
@@ -50,7 +50,7 @@ def test_a_refused_landing_says_why(simulator: Simulator, app: list[str]) -> Non
 def test_release_is_always_possible(simulator: Simulator, app: list[str]) -> None:
     outcome = process("release", simulator.port, *app)
     assert outcome.status == 0
-    assert outcome.out == "released\n"
+    assert outcome.out == '{"done": "release"}\n'
 
 
 def test_a_release_that_is_not_confirmed_is_not_called_one(
@@ -69,7 +69,7 @@ def test_a_release_that_is_not_confirmed_is_not_called_one(
 def test_a_url_of_the_simulator_needs_no_credentials() -> None:
     outcome = process("takeoff", "sim://")
     assert outcome.status == 0
-    assert "done: take off" in outcome.out
+    assert '"done": "take off"' in outcome.out
 
 
 @pytest.mark.parametrize(

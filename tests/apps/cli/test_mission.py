@@ -80,7 +80,7 @@ def test_a_plan_is_flown_and_reported_as_json(later: Simulator, app: list[str], 
     assert steps.count("reached") == len(SPOTS)
     assert steps[-1] == "finished"
     assert "On Linux, a guardian stops it if this program is killed" in outcome.err
-    assert process("mission", "stop", later.port, *app).out == "no mission flies\n"
+    assert process("mission", "stop", later.port, *app).out == '{"stopped": null}\n'
 
 
 def leave_in_flight(flying: subprocess.Popen[str]) -> None:
@@ -101,7 +101,9 @@ def test_a_program_that_is_killed_has_a_guardian_that_stops_the_mission(
     flying = begin(long, later.port, *app)
     flying.kill()
     flying.communicate(timeout=PATIENCE)
-    blocking_until(lambda: process("mission", "stop", later.port, *app).out == "no mission flies\n")
+    blocking_until(
+        lambda: process("mission", "stop", later.port, *app).out == '{"stopped": null}\n'
+    )
 
 
 @pytest.mark.pty
@@ -134,7 +136,7 @@ def test_what_is_refused_beside_a_mission_does_not_end_it_and_landing_does(
     outcome = process("land", later.port, *app)  # nobody is asked, nothing else has to come first
     assert outcome.status == 0, outcome
     assert "stopped: waypoint mission" in outcome.err
-    assert "done: land" in outcome.out
+    assert '"done": "land"' in outcome.out
 
 
 @pytest.mark.pty
@@ -147,7 +149,7 @@ def test_ctrl_c_stops_it(later: Simulator, app: list[str], long: str) -> None:
         r"mission stopped after waypoint 0; the aircraft hovers at [23]\.\d m: m100link land\n",
         said,
     )
-    assert process("mission", "stop", later.port, *app).out == "no mission flies\n"
+    assert process("mission", "stop", later.port, *app).out == '{"stopped": null}\n'
 
 
 @pytest.mark.pty
@@ -162,7 +164,7 @@ def test_output_that_nobody_reads_stops_it_and_is_not_success(
     flying.stderr.close()
     assert flying.wait(PATIENCE) == ExitCode.FAILED
     assert "output closed: mission stopped after waypoint 0; the aircraft hovers at " in said
-    assert process("mission", "stop", later.port, *app).out == "no mission flies\n"
+    assert process("mission", "stop", later.port, *app).out == '{"stopped": null}\n'
 
 
 @pytest.mark.pty

@@ -61,7 +61,7 @@ def test_plot_of_a_recorded_span_and_live(simulator: Simulator, tmp_path: Path) 
     drawn = process("plot", str(path), "position.height_m")
     assert drawn.status == 0
     assert "position.height_m" in drawn.out
-    live = process("plot", simulator.port, "position.height_m", "--duration", "1")
+    live = process("plot", simulator.port, "position.height_m", "--duration", "1", "--table")
     assert live.status == 0
     assert any(0x2800 < ord(c) <= 0x28FF for c in live.out)
 
