@@ -146,7 +146,8 @@ KINDS = {
         "Tests that are not slow, and some in real time: a flight for each front among them.",
         {
             "tests": [pytest(*workers(2), "-m", "not slow and not smoke", *VIRTUAL)],
-            "smoke tests": [pytest(*workers(4), "-m", "smoke", *marked("smoke"))],
+            # They wait for terminals, processes and a browser more than they compute.
+            "smoke tests": [pytest(*workers(6), "-m", "smoke", *marked("smoke"))],
         },
         groups=("test", "browser", "interop"),
     ),

@@ -258,8 +258,9 @@ def unreleased(log: str) -> list[str]:
 
 def said(name: str, before: str, now: str) -> set[str]:
     """Words of which a line for users has one: the name, or the options that its verb changes."""
-    if name.startswith("option"):
-        return set(re.findall(r"--[\w-]+", name))
+    if name.startswith("option"):  # which verbs have it: one that comes or goes names itself
+        verbs = set(before.split(", ")) ^ set(now.split(", "))
+        return set(re.findall(r"--[\w-]+", name)) | {verb.split()[-1] for verb in verbs if verb}
     if name.startswith("m100link "):
         options = (set(re.findall(r"--[\w-]+", text)) for text in (before, now))
         if changed := set.symmetric_difference(*options):

@@ -80,10 +80,11 @@ BEFORE = {
         (BEFORE | {"m100link.Control.land": "(self, timeout)"}, "", ["m100link.Control.land"]),
         (BEFORE | {"m100link.Control.land": "(self, timeout)"}, "- `land(timeout)`.\n", []),
         (BEFORE | {"m100link.Control.hover": "(self)"}, "", ["m100link.Control.hover"]),
-        (BEFORE | {"option --to: str": "sim, demo"}, "- `demo --to`.\n", []),
+        (BEFORE | {"option --to: str": "sim, demo"}, "- `--to` takes a name.\n", []),
+        (BEFORE | {"option --to: str": "sim, demo"}, "- `demo` is new.\n", []),
         (
             BEFORE | {"option --to: str": "sim, demo"},
-            "- `demo` goes to it.\n",
+            "- A page goes to it.\n",
             ["option --to: str"],
         ),
         (BEFORE | {"m100link fly": "X --to --json"}, "- `--json` prints.\n", []),

@@ -279,8 +279,8 @@ def children(monkeypatch: pytest.MonkeyPatch, noted: Noted, tmp_path: Path) -> l
         one: Any = SimpleNamespace(fileno=lambda: 44)
         return Sockets({"rosbridge": [one]} | ({"console": []} if with_console else {}))
 
-    monkeypatch.setattr(supervisor, "open_sockets", opened)
     for module in (run, supervisor):
+        monkeypatch.setattr(module, "open_sockets", opened)
         monkeypatch.setattr(module, "ChildProcess", Child)
     monkeypatch.setattr(transports, "serve_unix", noted.context("serve_unix"))
 
