@@ -155,7 +155,7 @@ async def rig() -> AsyncIterator[Rig]:
 
 
 @asynccontextmanager
-async def apart(settings: Settings, **served: bool) -> AsyncIterator[RunningTwoProcess]:
+async def apart(settings: Settings, **served: Any) -> AsyncIterator[RunningTwoProcess]:
     """A station in two processes, as a command begins it."""
     async with (
         supervisor.beginning_fronts({ONLY_NAME: settings}, **served) as fronts,
@@ -166,7 +166,7 @@ async def apart(settings: Settings, **served: bool) -> AsyncIterator[RunningTwoP
 
 @asynccontextmanager
 async def several(
-    aircraft: Mapping[str, Settings], tell: run.Tell = lambda *_: None, **served: bool
+    aircraft: Mapping[str, Settings], tell: run.Tell = lambda *_: None, **served: Any
 ) -> AsyncIterator[RunningMultiVehicle]:
     """A station of several aircraft, as a command begins it."""
     async with (
