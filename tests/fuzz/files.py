@@ -5,6 +5,7 @@ Where there is a writer, what it makes of what was read is read as the same.
 
 from __future__ import annotations
 
+import asyncio
 import base64
 import json
 import math
@@ -43,7 +44,7 @@ from m100link.apps.fleet.logs.words import (
     unpack_entries,
     unpack_reply,
 )
-from m100link.apps.fleet.order_log import FileOrderLog, Mark, seal
+from m100link.apps.fleet.order_log import AuditLog, FileOrderLog, Mark, seal
 from m100link.apps.fleet.payloads import (
     Card,
     MissionCard,
@@ -61,8 +62,9 @@ from m100link.apps.fleet.pki import init
 from m100link.apps.fleet.revocations import AUTHORITY, LIST, Revocations, Revoked, sign_revoked
 from m100link.apps.fleet.show.conductor import _part
 from m100link.apps.fleet.show.plan.conflicts import ConflictMonitor
-from m100link.apps.fleet.show.plan.document import Show
+from m100link.apps.fleet.show.plan.document import Show, imported
 from m100link.apps.fleet.show.plan.track import TimedTrack
+from m100link.apps.fleet.signing import Seal, audited
 from m100link.apps.mavlink.bridge import SignatureMemory, Snapshot
 from m100link.apps.mavlink.translator.codec import (
     LAYOUTS,
@@ -111,6 +113,8 @@ from tests.apps.fleet.show.shows import track
 
 __all__ = [
     "answers",
+    "audit",
+    "audit_seeds",
     "cdr_seeds",
     "events",
     "fleet_values",
@@ -385,6 +389,40 @@ def _authority() -> tuple[x509.Certificate, ec.EllipticCurvePrivateKey, bytes]:
     assert isinstance(key, ec.EllipticCurvePrivateKey)
     pem = (where / AUTHORITY).read_bytes()
     return x509.load_pem_x509_certificate(pem), key, pem
+
+
+def audit_seeds() -> list[bytes]:
+    """A log of an aircraft with three orders, as it writes it."""
+    log = AuditLog(None, _seal().audit, lambda: _UTC)
+    for number in range(3):
+        log.add({"order": f"Land {number}", "signer": "anna", "by": "a1", "outcome": "ok"})
+    return [log.since(1, 1 << 20)]
+
+
+def audit(data: bytes) -> None:
+    """An audit log on board, which goes on, and its copy, which is verified."""
+    path = folder() / "a1.audit"
+    path.write_bytes(data)
+
+    async def goes_on() -> None:
+        AuditLog(path, _seal().audit, lambda: _UTC)
+
+    asyncio.run(goes_on())
+    found, wrong = audited(data, "a1", _authority()[0])
+    repr((found, wrong)).encode()  # they are printed
+
+
+@cache
+def _seal() -> Seal:
+    certificate, key, _ = _authority()
+    return Seal(key, certificate)
+
+
+def tracks(data: bytes) -> None:
+    """A track of others: Skybrush's, or CSV."""
+    path = place()
+    path.write_bytes(data)
+    imported([path], (22.5, 114.0))
 
 
 def revoked_seeds() -> list[bytes]:

@@ -38,6 +38,7 @@ from m100link.sim.ports.driver import aircraft_of, speed_of
 from m100link.sim.vehicle.dynamics import read_airframe
 from m100link.wire import Cipher, FrameDecoder
 from m100link.wire.crc import header_crc16
+from tests.apps.fleet.show.plan.test_document import skyb
 from tests.apps.fleet.show.shows import FIVE
 from tests.fuzz import connections, files, worlds
 from tests.fuzz.worlds import World
@@ -438,6 +439,16 @@ TARGETS: dict[str, Target] = {
     "revoked names": Target(files.revoked, files.revoked_seeds, (UsageError,), share=2),
     "shared lease": Target(
         files.read_lease_file, lambda: [b'{"fence": 3, "token": "0a"}'], (UsageError,)
+    ),
+    "audit log": Target(files.audit, files.audit_seeds, (UsageError,), share=2),
+    "tracks": Target(
+        files.tracks,
+        lambda: [
+            skyb(1),
+            skyb(2),
+            b"Time [msec],x [m],y [m],z [m]\n0,0,0,0\n4000,0,0,4\n9000,3,0,4\n",
+        ],
+        (M100Error,),
     ),
     "show": Target(files.read_show, _shows, (M100Error,)),
     "key file": Target(files.of_file(files.keys), lambda: [b"0a" * 32 + b"\n"], (M100Error,)),

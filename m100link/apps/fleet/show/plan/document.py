@@ -515,6 +515,7 @@ def _apart(show: Show, report: Report) -> Iterator[str]:
 # north, and y to the left of it.
 
 _SAMPLE_S, _LONGEST_S = 0.25, 2500.0  # as many as a track may have points
+_LARGEST = 1e5  # metres or seconds
 _LEAST_M, _BEGIN_M_S2 = 1.0, 0.6  # as the check wants it: the spline makes 2.25 times that
 _MS, _METRES = "time [msec]", ("x [m]", "y [m]", "z [m]")
 _Sample = tuple[float, float, float, float]  # s; metres ahead, to the left and up
@@ -542,8 +543,8 @@ def imported(
         try:
             samples = list(_samples(read_file(path)))
             ground = samples[0][3]
-            if not all(map(math.isfinite, chain.from_iterable(samples))):
-                raise ValueError("a number is infinite, or none")
+            if not all(abs(one) <= _LARGEST for one in chain.from_iterable(samples)):
+                raise ValueError(f"a number is none, or is above {_LARGEST:g}")
             there = [samples[0]]
             there += (one for one in samples if one[0] - there[-1][0] >= _SAMPLE_S - 1e-9)
             there = _mirrored(_begun(_mirrored(_begun(there, ground)), ground))
@@ -580,6 +581,8 @@ def _begun(points: list[_Sample], ground: float) -> list[_Sample]:
     else:
         raise ValueError("it is never high enough above its first place")
     lasts = math.hypot(*velocity) / _BEGIN_M_S2
+    if lasts > _LONGEST_S:
+        raise ValueError("nothing that flies is so fast")
     many, way = math.ceil(lasts / _SAMPLE_S), []
     for share in (step / many for step in range(many)):
         back = lasts * (1 - share * share) / 2  # s of this velocity
