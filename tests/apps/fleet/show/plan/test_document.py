@@ -575,7 +575,7 @@ def test_a_track_in_csv_is_a_show(tmp_path: Path) -> None:
     [
         (b"", "out of range"),
         (b"x,y,z\n1,2,3\n", "x [m]"),
-        (b"time [msec],x [m],y [m],z [m]\n0,0,0,0\n1,0,0,nan\n", "infinite, or none"),
+        (b"time [msec],x [m],y [m],z [m]\n0,0,0,0\n1,0,0,nan\n", "none, or is above"),
         (b"time [msec],x [m],y [m],z [m]\n0,0,0,0\n1000,0,0,1\n", "never high enough"),
         (b"time [msec],x [m],y [m],z [m]\n0,0,0\n", "float"),
         (skyb()[:40], "no whole track"),
