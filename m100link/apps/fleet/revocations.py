@@ -359,11 +359,14 @@ async def in_force(bus: Bus, keys: Keys, data: bytes = b"") -> OrderReply:
         UsageError: It does not believe the list, or cannot keep it, as it says itself.
         MessageError: Its answer cannot be read.
     """
-    sessions = {session_in(token) for token in await bus.tokens(keys.live, timeout=_ANSWER_S)}
-    if not sessions:
-        raise nobody_there(keys.name)
+    sessions: set[str] = set()
     for attempt in range(_TRIES):
         await asyncio.sleep(attempt * _AGAIN_S)
+        if not sessions:  # a router that has just read a new list lets everybody come anew
+            tokens = await bus.tokens(keys.live, timeout=_ANSWER_S)
+            sessions = {session_in(token) for token in tokens}
+        if not sessions:
+            continue
         answers = await bus.ask(keys.revoked, bytes([VERSION]) + data, timeout=_ANSWER_S)
         reply = believed(answers, keys, "", sessions)
         if isinstance(reply, MessageError):
@@ -372,6 +375,8 @@ async def in_force(bus: Bus, keys: Keys, data: bytes = b"") -> OrderReply:
             raise reply.fault.error()
         if reply is not None:
             return reply
+    if not sessions:
+        raise nobody_there(keys.name)
     raise OutcomeUnknown(
         f"{keys.name} does not say which list of revoked names it has",
         cause="its agent has no fleet file or an older release, the link is cut, or the "

@@ -118,7 +118,7 @@ def test_a_program_that_is_killed_with_its_guardian_leaves_it_in_flight_for_the_
         sure = ("--yes",) if verb == "resume" else ()
         outcome = process("mission", verb, later.port, *sure, *app)
         assert outcome.status == 0, outcome
-        assert outcome.out.startswith(f"{said}: waypoint mission")
+        assert json.loads(outcome.out) == {said: "waypoint mission"}
     assert process("mission", "download", later.port, *app).status == ExitCode.REFUSED
 
 

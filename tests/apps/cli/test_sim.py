@@ -146,7 +146,8 @@ def test_orders_from_another_shell(start: Any) -> None:
     assert wrong.returncode == 2
     assert "the mode switch has no position 'X'\n  what to do:   P, A or F\n" in wrong.stderr
     assert wrong.stderr.count("what to do") == 1
-    assert "rc-mode P|A|F" in simulator.ctl().stdout
+    offered = [json.loads(line) for line in simulator.ctl().stdout.splitlines()]
+    assert {one["action"]: one["arguments"] for one in offered}["rc-mode"] == "P|A|F"
 
 
 @pytest.mark.pty

@@ -498,6 +498,22 @@ async def test_a_list_is_brought_four_times_at_most(
     assert believed.mock_calls[0] == call([], KITE, "", {"beef"})
 
 
+async def test_an_agent_that_comes_back_behind_its_router_gets_the_list(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Its router has just read a new list, and lets everybody come anew."""
+    token = "m100-live/field/kite/beef"
+    bus: Any = MagicMock(
+        tokens=AsyncMock(side_effect=[[], [], [token]]), ask=AsyncMock(return_value=[])
+    )
+    monkeypatch.setattr(revocations, "believed", MagicMock(return_value=REPLY))
+    assert await bring(bus, KITE, b"list") == 3
+    bus.tokens = AsyncMock(return_value=[])
+    with pytest.raises(Unreachable):
+        await bring(bus, KITE, b"list")
+    assert bus.tokens.await_count == 4
+
+
 class Served:
     """The service of one aircraft, its list, and questions to it."""
 
