@@ -310,13 +310,29 @@ def _useless(error: UnusedCliTokensError | UnknownCommandError) -> UsageError:
     return UsageError(f"{called} has no {what}", remedy=remedy)
 
 
+# Former names of options: scripts that have them still run; the help has today's names.
+_FORMER = {
+    "info": {"--seconds": "--duration"},
+    "sim": {"--for": "--duration"},
+    "serve": {"--baud-rate": "--baud"},
+    "console": {"--baud-rate": "--baud"},
+}
+
+
+def _renamed(words: list[str]) -> list[str]:
+    """The words with today's names of options."""
+    former = _FORMER.get(words[0], {}) if words else {}
+    split = (word.partition("=") for word in words)
+    return [former.get(name, name) + mark + value for name, mark, value in split]
+
+
 def _status_of(words: list[str]) -> int:
     asked = app if VERBS.keys() & set(words) else application(overview=True)
     try:
         show_warnings()
         for name in VERBS.keys() & set(words[:1]):
             _ = asked[name]  # loads it
-        verb, bound, _ = asked.parse_args(words, exit_on_error=False, print_error=False)
+        verb, bound, _ = asked.parse_args(_renamed(words), exit_on_error=False, print_error=False)
         if signal.getsignal(signal.SIGINT) is end_at_once:
             signal.signal(signal.SIGINT, signal.default_int_handler)
         with logging_as_asked(bound.arguments.values()):

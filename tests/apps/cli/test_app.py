@@ -111,6 +111,27 @@ def test_an_option_that_is_mistyped_names_the_nearest(cli: CommandLine) -> None:
     assert "Did you mean --firmware?" in outcome.err + outcome.out
 
 
+@pytest.mark.parametrize(
+    ("former", "today"),
+    [
+        (("info", "sim://", "--seconds", "0"), ("info", "sim://", "--duration", "0")),
+        (("info", "sim://", "--seconds=0"), ("info", "sim://", "--duration=0")),
+        (("sim", "--for", "0"), ("sim", "--duration", "0")),
+        (("serve", "--baud-rate", "x"), ("serve", "--baud", "x")),
+        (("console", "--baud-rate=x"), ("console", "--baud=x")),
+    ],
+    ids=lambda words: " ".join(words),
+)
+def test_an_option_is_known_by_its_former_name_and_shown_by_todays(
+    cli: CommandLine, former: tuple[str, ...], today: tuple[str, ...]
+) -> None:
+    assert cli(*former) == cli(*today)
+    option = next(word for word in today if word.startswith("--")).partition("=")[0]
+    told = cli(today[0], "--help").out
+    assert option in told
+    assert former[-1 if "=" in former[-1] else -2].partition("=")[0] + " " not in told
+
+
 def test_a_word_that_is_like_no_verb_is_named(cli: CommandLine) -> None:
     assert "m100link has no verb 'xyzzy'" in cli("xyzzy").err
     assert "did you mean" not in cli("xyzzy").err
