@@ -122,7 +122,7 @@ def _asks(depth: int = 2) -> bool:
 
 
 def _open(path: Any, flags: int, mode: int = 0o777, **options: Any) -> int:
-    """Open a file as the C library of Windows does: no folder, and bytes only if it is told so."""
+    """The C library of Windows opens no folder, and gives bytes only with its flag for them."""
     if os.path.isdir(path):
         raise PermissionError(13, "Permission denied", path)
     is_from_python = flags & os.O_CLOEXEC  # that has its own O_BINARY there

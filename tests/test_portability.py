@@ -294,7 +294,7 @@ async def test_a_simulator_answers_by_tcp(system: str, number: int, tmp_path: Pa
 @pytest.mark.anyio
 @pytest.mark.parametrize(("system", "number"), ENDINGS)
 async def test_a_station_flies_for_a_client_and_hovers_as_it_ends(system: str, number: int) -> None:
-    """Act first: the aircraft is told to hover, and control goes back, before anything ends."""
+    """The signal orders a hover and gives control back before anything ends."""
     words = ("console", "--sim", "--port", "0", "--console-port", "0", "--json")
     process, told = await started(system, *words, "--no-open-browser", "--no-record")
     with await asyncio.to_thread(urllib.request.urlopen, told["console"]) as page:

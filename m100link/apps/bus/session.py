@@ -378,10 +378,8 @@ async def open_session(opening: Opening) -> AsyncIterator[ZenohBus]:
             if not (mode == "client" and (opening.is_patient or clock() < until)):
                 raise _refused(error, mode, opening) from error
             if not is_reported and opening.is_patient:
-                places, remedy = (
-                    config.get_json("connect/endpoints"),
-                    opening.remedies.get(mode, ""),
-                )
+                places = config.get_json("connect/endpoints")
+                remedy = opening.remedies.get(mode, "")
                 _logger.warning("no router answers yet at %s: %s", places, remedy)
                 is_reported = True
         await asyncio.sleep(_AGAIN_S)

@@ -22,6 +22,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Generic, TypeVar
 
+from m100link.apps.agent.background import goes_on
 from m100link.apps.bus.network import Held, Inbox, Outlet, Question, Received, TokenChange
 from m100link.apps.ros2.graph import EntityKind, NodeName, Qos, read_token, write_attachment
 from m100link.errors import UsageError
@@ -306,7 +307,8 @@ class DdsBus:
         """By a thread: C needs seconds for a request whose length is a lie."""
         while not self._is_over.wait(_APART_S):
             for take, found in self._apart:
-                found.extend(take())
+                with goes_on("requests on DDS"):  # the thread serves the others, too
+                    found.extend(take())
 
     def close(self) -> None:
         self._is_over.set()

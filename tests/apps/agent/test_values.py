@@ -193,7 +193,7 @@ async def test_an_agent_of_another_version_hears_why_and_is_closed() -> None:
     assert why in fault.seen
     assert fault.remedy == "install the same release of m100link at both ends"
     reason = f"this agent speaks version {VERSION}, not {VERSION + 1}"
-    assert agent_gone(reason).remedy == fault.remedy, "whoever of the two notices it"
+    assert agent_gone(reason).remedy == fault.remedy, "both ends say the same"
 
 
 async def test_the_agent_that_takes_the_place_of_another_tells_all_of_it_anew() -> None:

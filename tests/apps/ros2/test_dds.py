@@ -360,7 +360,10 @@ async def test_what_takes_long_to_be_read_holds_up_no_step(rclpy: Rclpy) -> None
             assert goes_on.wait(PATIENCE)
             return b"long", b"anna"
 
-        end.waiting.extend([long, (b"next", b"bert")])
+        def too_long() -> tuple[bytes, bytes]:
+            raise MemoryError
+
+        end.waiting.extend([too_long, long, (b"next", b"bert")])
         assert await asyncio.to_thread(reads.wait, PATIENCE)
         assert inbox.take() == []
         goes_on.set()
