@@ -322,8 +322,7 @@ _OTHER_ROOMS = (
 
 # Rooms that have moved, and their place now. The old names keep working, deep ones with a warning.
 _MOVED = {
-    **dict.fromkeys(("agent", "bus", "cli", "doctor"), "apps"),
-    **dict.fromkeys(("fleet", "mavlink", "ros2", "station"), "apps"),
+    **dict.fromkeys(("agent", "cli", "doctor", "fleet", "station"), "apps"),
     "activation": "aircraft",
     "keyfile": "link",
     "notifications": "telemetry",
@@ -333,12 +332,7 @@ _MOVED = {
 
 # Modules of documented names that another one has taken in.
 _JOINED = {
-    "log.page": "log.picture",
-    "log.parquet": "log.reading",
     "protocol.commands.camera": "protocol.commands.gimbal",
-    "protocol.commands.follow": "protocol.commands.hotpoint",
-    "protocol.commands.sync": "protocol.commands.virtual_rc",
-    "sync.payload": "sync.aircraft",
     "sync.steering": "sync.control",
 }
 

@@ -261,12 +261,7 @@ def test_a_documented_class_has_its_old_name_too(module: str, old: str, now: str
 @pytest.mark.parametrize(
     ("old", "now", "name"),
     [
-        ("log.page", "log.picture", "page"),
-        ("log.parquet", "log.reading", "write_parquet"),
         ("protocol.commands.camera", "protocol.commands.gimbal", "TakePhoto"),
-        ("protocol.commands.follow", "protocol.commands.hotpoint", "FollowStart"),
-        ("protocol.commands.sync", "protocol.commands.virtual_rc", "Sync"),
-        ("sync.payload", "sync.aircraft", "AircraftGimbal"),
         ("sync.steering", "sync.control", "GimbalRates"),
     ],
 )
