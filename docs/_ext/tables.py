@@ -15,6 +15,7 @@ Each directive takes its rows from one object of the package::
     ```{block-table}                      transitions of a control block
     ```{ending-table}                     what becomes of the aircraft when a program ends
     ```{cli-help}                         what `m100link … --help` says, for every verb
+    ```{option-table}                     every option of the command, with its verbs
     ```{layer-list}                       the layers of the import contract, and what each one is
     ```{contract-list}                    the other contracts that `lint-imports` holds
     ```{errata-index}                     links to the numbered errata
@@ -381,6 +382,35 @@ class CliHelp(SphinxDirective):
         return section
 
 
+class OptionTable(TableDirective):
+    """Every option of the command line, as the parser has it."""
+
+    def rows(self) -> Iterable[Sequence[str]]:
+        """A row for each sentence of an option, with the verbs that say it."""
+        told: dict[tuple[str, str], list[str]] = {}
+        for verb, command in self._verbs(cli):
+            found = command.assemble_argument_collection(
+                default_parameter=cli.default_parameter, parse_docstring=True
+            )
+            for one in found:
+                if one.names[0].startswith("--") and not one.children:
+                    names = ", ".join(f"``{name}``" for name in one.names)
+                    text = " ".join((one.parameter.help or "").replace("`", "``").split())
+                    told.setdefault((names, text), []).append(verb)
+        every = max(map(len, told.values()))  # those of --json: nobody reads them in each row
+        yield "Option", "Meaning", "Verbs"
+        for (names, text), verbs in sorted(told.items()):
+            several = f"{len(verbs)} verbs, {verbs[0]} among them"
+            is_all = "all" if len(verbs) == every else ""
+            yield names, sentence(text), is_all or (", ".join(verbs) if len(verbs) < 9 else several)
+
+    def _verbs(self, above: App, *words: str) -> Iterable[tuple[str, App]]:
+        for name in sorted(name for name in above if not name.startswith("-")):
+            if above[name].default_command is not None:
+                yield " ".join((*words, name)), above[name]
+            yield from self._verbs(above[name], *words, name)
+
+
 def import_contracts() -> list[dict[str, Any]]:
     """The import contracts; the first is that of the layers."""
     settings = tomllib.loads(_PYPROJECT.read_text(encoding="utf-8"))["tool"]["importlinter"]
@@ -449,6 +479,7 @@ def setup(app: Sphinx) -> dict[str, Any]:
     app.add_directive("discard-table", DiscardTable)
     app.add_directive("url-examples", UrlExamples)
     app.add_directive("cli-help", CliHelp)
+    app.add_directive("option-table", OptionTable)
     app.add_directive("authority-table", AuthorityTable)
     app.add_directive("supervision-table", SupervisionTable)
     app.add_directive("stop-table", StopTable)

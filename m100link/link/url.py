@@ -117,8 +117,8 @@ SLOWEST, FASTEST = 0.1, 100.0
 """Times as fast as it was flown; besides them, infinity: as fast as it is taken."""
 
 _REPLAY = "replay://"
-_OPTIONS = ("speed", "from", "to")
-_LIKE_THIS = f"write it like {_REPLAY}flight.mcap?speed=2&from=30&to=90"
+_OPTIONS = ("speed", "from", "until")
+_LIKE_THIS = f"write it like {_REPLAY}flight.mcap?speed=2&from=30&until=90"
 
 
 class ReplayURL(NamedTuple):
@@ -152,7 +152,7 @@ def parse_replay(url: str) -> ReplayURL:
                 url, f"has the option {option!r}; there are {', '.join(_OPTIONS)}", _LIKE_THIS
             )
         values[option] = _number(url, option, text)
-    begin, end = values.get("from", 0.0), values.get("to", math.inf)
+    begin, end = values.get("from", 0.0), values.get("until", math.inf)
     if begin >= end:
         raise _bad(url, "ends before it begins", _LIKE_THIS)
     return ReplayURL(path, values.get("speed", 1.0), begin, end)

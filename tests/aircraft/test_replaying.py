@@ -151,7 +151,7 @@ async def test_the_holder_of_control_is_reported_as_it_was(path: Path) -> None:
 
 
 async def test_a_reader_that_begins_in_flight_sees_who_has_control(path: Path) -> None:
-    async with connect(f"replay://{path}?from=8&to=9") as replay:
+    async with connect(f"replay://{path}?from=8&until=9") as replay:
         assert replay.authority.state.value == "held"
         await asyncio.sleep(0.01)
         battery = replay.state.battery
@@ -218,7 +218,7 @@ async def test_a_file_that_was_not_ended_plays_what_is_there_and_says_so(path: P
 @pytest.mark.parametrize("pause", [0.0, 0.001, 0.3])
 async def test_as_fast_as_it_is_taken_loses_nothing(path: Path, policy: Any, pause: float) -> None:
     count = sum(1 for _ in read(path).samples())
-    aircraft = await connect(f"replay://{path}?speed=max&to=4")
+    aircraft = await connect(f"replay://{path}?speed=max&until=4")
     wanted = sum(1 for one in read(path).samples() if one.received_at <= 4.0)
     assert 0 < wanted < count
     got = []
@@ -280,7 +280,7 @@ async def test_what_cannot_be_played_is_refused_with_what_it_is(
     for query in ("speed=0", "speed=nan", "speed=-1", "speed=101", "speed=fast", "sped=2"):
         with pytest.raises(BadURL):
             await connect(f"replay://{path}?{query}")
-    for query in ("from=-1", "from=inf", "from=nan", "from=2&to=1", "from=2&to=2"):
+    for query in ("from=-1", "from=inf", "from=nan", "from=2&until=1", "from=2&until=2"):
         with pytest.raises(BadURL):
             await connect(f"replay://{path}?{query}")
     with pytest.raises(UsageError, match="long"):
@@ -308,7 +308,7 @@ def test_paths_are_written_as_people_write_them(
         f"replay://{odd}?speed=3": odd,
     }.items():
         assert parse_replay(url).path == place, url
-    assert parse_replay("replay://f?speed=max&from=1.5&to=2") == (Path("f"), math.inf, 1.5, 2.0)
+    assert parse_replay("replay://f?speed=max&from=1.5&until=2") == (Path("f"), math.inf, 1.5, 2.0)
 
 
 async def test_two_replays_of_one_file_do_not_know_of_each_other(path: Path) -> None:

@@ -383,10 +383,10 @@ async def test_a_recording_is_read_as_its_program_says(monkeypatch: pytest.Monke
     ("options", "told"),
     [
         ("", (1.0, 0.0, math.inf)),
-        ("?speed=max&to=9&from=1.5", (math.inf, 1.5, 9.0)),
+        ("?speed=max&until=9&from=1.5", (math.inf, 1.5, 9.0)),
         ("?speed=0.5&from=0", (0.5, 0.0, math.inf)),
         *((f"?{option}", None) for option in ("from=inf", "to=inf", "from=-1", "from=nan")),
-        *((f"?{option}", None) for option in ("from=3&to=3", "speed=0", "speed=inf", "till=3")),
+        *((f"?{option}", None) for option in ("from=3&until=3", "speed=0", "speed=inf", "till=3")),
     ],
 )
 def test_a_part_of_a_recording_is_named_in_seconds(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import logging
 import re
 import signal
 import sys
@@ -59,7 +60,7 @@ _ROWS = {
     "Watch": (
         ("info", "connection", "sim://", "/dev/ttyUSB0 --duration 5"),
         ("monitor|hz", "telemetry", "sim:// --duration 5", "lab-m100"),
-        ("echo", "telemetry", "sim:// position --count 3", "lab-m100 attitude --csv --duration 60"),
+        ("echo", "telemetry", "sim:// position --packages 3", "lab-m100 attitude --csv --rate 5"),
         ("plot", "telemetry", "sim:// position.height_m", "flight.csv attitude.yaw_deg"),
         ("rates", "flight", "sim://?firmware=3.1", "lab-m100 attitude=50 battery=1"),
         ("link", "connection", "sim:// --duration 2", "/dev/ttyUSB0 --rate 20"),
@@ -68,9 +69,9 @@ _ROWS = {
         ("plan", "plan:app", "", ""),
         ("plan survey", "", f"survey.json {_AREA}", f"survey.plan {_AREA} --photo-every 10"),
         ("plan check|show", "", "survey.json", "field.plan --leave-out geoFence --home 52.1,4.31"),
-        ("plan convert", "", "field.plan survey.json", "survey.json - --to plan"),
+        ("plan convert", "", "field.plan survey.json", "survey.json - --format plan"),
         ("mission", "mission:app", "", ""),
-        ("mission fly", "", "survey.json lab-m100", "survey.json /dev/ttyUSB0 --take-off --yes"),
+        ("mission fly", "", "survey.json lab-m100", "survey.json /dev/ttyUSB0 --takeoff --yes"),
         ("mission pause|resume|stop", "", "lab-m100", "/dev/ttyUSB0"),
         ("mission download", "", "lab-m100", "lab-m100 -o stored.plan"),
     ),
@@ -87,7 +88,7 @@ _ROWS = {
         ("fleet", "fleet_verbs:app", "", ""),
         ("fleet list", "", "", "--connect tcp/192.168.1.5:7447 --json"),
         ("fleet takeoff|land|stop", "", "a1 a2", "--all"),
-        ("fleet goto", "", "a1 52.1 4.31 10", "a1 -33.9 18.4 10 --speed 3"),
+        ("fleet goto", "", "a1 52.1 4.31 10", "a1 -33.9 18.4 10 --cruise-speed 3"),
         ("fleet make", "", "fleet.toml", "fleet.toml --renew"),
         ("fleet up", "", "fleet.toml", "fleet.toml a1 --real"),
         ("fleet doctor", "", "fleet.toml", "fleet.toml --json"),
@@ -95,8 +96,8 @@ _ROWS = {
         ("fleet agent", "", "sim:// --count 3", "lab-m100 --name a1 --lost land"),
         ("fleet console", "", "", "a1 a2 --no-open-browser"),
         ("fleet monitor", "", "", "--duration 10 --json"),
-        ("fleet lease|watch", "", "a1", "a1 --name anna"),
-        ("fleet mission fly", "", "a1 survey.json", "a1 survey.json --take-off --yes"),
+        ("fleet lease|watch", "", "a1", "a1 --operator anna"),
+        ("fleet mission fly", "", "a1 survey.json", "a1 survey.json --takeoff --yes"),
         ("fleet mission pause|resume|stop|progress", "", "a1", "a1 --json"),
         ("fleet show check", "", "show.json", "show.json --max-height 30"),
         (
@@ -108,8 +109,8 @@ _ROWS = {
         ("fleet show preview", "", "show.json", "show.json show.svg"),
         ("fleet show fly", "", "show.json", "show.json --leave hover --yes"),
         ("fleet log list", "", "a1", "--all"),
-        ("fleet log audit", "", "a1", "--all --to audit"),
-        ("fleet log fetch", "", "a1", "--all --to logs"),
+        ("fleet log audit", "", "a1", "--all --output audit"),
+        ("fleet log fetch", "", "a1", "--all --output logs"),
         ("fleet pki revoke", "", "anna --folder pki", "anna bert --folder pki --json"),
         ("fleet pki push", "", "a1 --folder pki", "--all --identity anna --pki pki"),
         ("fleet acl check", "", "fleet.toml", "fleet.toml --who anna --json"),
@@ -310,20 +311,26 @@ def _useless(error: UnusedCliTokensError | UnknownCommandError) -> UsageError:
     return UsageError(f"{called} has no {what}", remedy=remedy)
 
 
-# Former names of options: scripts that have them still run; the help has today's names.
+# Names of options in 0.2: scripts that have them still run, and are warned. An argument has none.
 _FORMER = {
     "info": {"--seconds": "--duration"},
-    "sim": {"--for": "--duration"},
-    "serve": {"--baud-rate": "--baud"},
-    "console": {"--baud-rate": "--baud"},
+    "echo": {"--count": "--packages"},
+    "sim": {"--for": "--duration", "--rate": "--item-rate"},
+    "serve": {"--baud-rate": "--baud", "--url": ""},
+    "console": {"--baud-rate": "--baud", "--url": ""},
 }
 
 
 def _renamed(words: list[str]) -> list[str]:
     """The words with today's names of options."""
-    former = _FORMER.get(words[0], {}) if words else {}
-    split = (word.partition("=") for word in words)
-    return [former.get(name, name) + mark + value for name, mark, value in split]
+    former, renamed = _FORMER.get(words[0], {}) if words else {}, list[str]()
+    for word in words:
+        name, mark, value = word.partition("=")
+        now = former.get(name, name)
+        if now != name:
+            logging.getLogger(__name__).warning("%s is %s in 1.0", name, now or "an argument")
+        renamed += [now + mark + value] if now else [value] * bool(mark)
+    return renamed
 
 
 def _status_of(words: list[str]) -> int:

@@ -602,7 +602,7 @@ def udev(
     port: Annotated[str | None, offered(serial_ports)] = None,
     /,
     *,
-    name: str = "m100",
+    link: Path = Path("m100"),
     group: str = "dialout",
     by_serial: bool = False,
     install: bool = False,
@@ -611,7 +611,7 @@ def udev(
 
     Args:
         port: The adapter's port; by default the only one on USB.
-        name: Name of the port in /dev.
+        link: Name of the port: a symbolic link in /dev.
         group: Group whose members may open the port.
         by_serial: Match the adapter's serial number, where several of a kind are plugged in.
         install: Write the rule where udev reads it; needs root.
@@ -625,7 +625,7 @@ def udev(
             cause="the adapter is not plugged in, or its port has another name",
             remedy=f"ports on this machine: {known}",
         )
-    text = rule(machine.adapter(device), name, group=group, by_serial=by_serial)
+    text = rule(machine.adapter(device), link.name, group=group, by_serial=by_serial)
     if not install:
         return tell_text(text)
     try:
@@ -637,8 +637,8 @@ def udev(
             remedy=f"m100link udev {device} | sudo tee {RULES_FILE}",
         ) from error
     err.print("now: sudo udevadm control --reload", markup=False)
-    err.print(f"then plug the adapter in again: its port is /dev/{name}", markup=False)
-    return tell({"file": str(RULES_FILE), "port": f"/dev/{name}"}, f"written: {RULES_FILE}")
+    err.print(f"then plug the adapter in again: its port is /dev/{link.name}", markup=False)
+    return tell({"file": str(RULES_FILE), "port": f"/dev/{link.name}"}, f"written: {RULES_FILE}")
 
 
 def _only_adapter(machine: Machine) -> str:

@@ -162,7 +162,7 @@ class FleetOptions:
         connect: A fleet file, or the endpoint of a router (M100LINK_FLEET); an endpoint may be
             repeated: the first one that answers serves.
         site: Name of the site (M100LINK_SITE).
-        name: Operator's name, shown to other people; the identity, or user and host, by default.
+        operator: Your name, shown to other people; the identity, or user and host, by default.
         identity: Identity that signs orders and shows its certificate to a router behind tls/
             (M100LINK_IDENTITY).
         pki: Folder with that certificate and key (M100LINK_PKI); pki beside a fleet file.
@@ -173,7 +173,7 @@ class FleetOptions:
 
     connect: Annotated[tuple[str, ...], Parameter(env_var="M100LINK_FLEET")] = (ROUTER,)
     site: Annotated[str, Parameter(env_var="M100LINK_SITE")] = DEFAULT_SITE
-    name: str | None = None
+    operator: str | None = None
     identity: Annotated[str | None, Parameter(env_var="M100LINK_IDENTITY")] = None
     pki: Annotated[Path | None, Parameter(env_var="M100LINK_PKI")] = None
     patience: Annotated[float, Above0] = PATIENCE_S
@@ -219,7 +219,7 @@ class FleetOptions:
     def who(self) -> str:
         """The operator's name, for other people."""
         user = f"{getpass.getuser()}@{platform.node() or 'host'}"
-        return self.name or self.identity or user
+        return self.operator or self.identity or user
 
 
 NO_OPTIONS = FleetOptions()

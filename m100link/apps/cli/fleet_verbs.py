@@ -33,7 +33,7 @@ from m100link.apps.cli.fleet import (
 )
 from m100link.apps.cli.fleet_plans import missions, shows
 from m100link.apps.cli.fleet_setup import acl, agent, console, doctor, make, pki, router, up
-from m100link.apps.cli.options import Above0, AtMost, group
+from m100link.apps.cli.options import OUTPUT, Above0, AtMost, group
 from m100link.apps.cli.terminal import ExitCode, ReaderGone, as_json, print_json, tell
 from m100link.apps.fleet.client import Fleet, FleetAircraft
 from m100link.apps.fleet.identity import WINDOW_S
@@ -165,7 +165,7 @@ async def goto(
     height: Annotated[float, Above0],
     /,
     *,
-    speed: Annotated[float, Above0] = 5.0,
+    cruise_speed: Annotated[float, Above0] = 5.0,
     options: FleetOptions = NO_OPTIONS,
 ) -> int:
     """Let one aircraft fly straight to a position and hover there; its agent steers on board.
@@ -174,13 +174,13 @@ async def goto(
         latitude: Degrees, WGS 84.
         longitude: Degrees, WGS 84.
         height: Metres above the take-off point.
-        speed: Greatest horizontal speed, m/s.
+        cruise_speed: Horizontal speed, m/s.
     """
 
     async def fly(aircraft: FleetAircraft) -> None:
         async with aircraft.control() as control:
             await control.fly_to(
-                latitude_deg=latitude, longitude_deg=longitude, height=height, speed=speed
+                latitude_deg=latitude, longitude_deg=longitude, height=height, speed=cruise_speed
             )
 
     return await _each((name,), False, options, fly, _GOTO)
@@ -344,7 +344,7 @@ async def logs(*names: Names, everybody: All = False, options: FleetOptions = NO
 async def audit(
     *names: Names,
     everybody: All = False,
-    to: Path | None = None,
+    output: Annotated[Path | None, OUTPUT] = None,
     options: FleetOptions = NO_OPTIONS,
 ) -> int:
     """Merge the signed logs of orders: who ordered what of which aircraft, when, and the outcome.
@@ -353,9 +353,9 @@ async def audit(
     line that somebody altered or removed, on board or here; the status is 1 then.
 
     Args:
-        to: Folder of those files; by default audit/SITE in m100link of the user's state folder.
+        output: Folder of those files; by default audit/SITE in m100link of the user's state folder.
     """
-    folder = state_folder() / "audit" / check_name(options.place, "a site") if to is None else to
+    folder = output or state_folder() / "audit" / check_name(options.place, "a site")
     authority = Revocations.of_folder(options.folder).authority
 
     async def one(it: FleetAircraft) -> tuple[list[dict[str, Any]], list[str]]:
@@ -380,7 +380,7 @@ async def fetch(
     *names: Names,
     everybody: All = False,
     file: str = "",
-    to: Path = Path(),
+    output: Annotated[Path, OUTPUT] = Path(),
     options: FleetOptions = NO_OPTIONS,
 ) -> int:
     """Fetch a flight log of each aircraft, by default the newest, into a file NAME-LOG.
@@ -390,12 +390,12 @@ async def fetch(
 
     Args:
         file: The log of that name, as `m100link fleet log list` shows it.
-        to: Folder for the file.
+        output: Folder for the file.
     """
     shown = _Shown()
 
     async def one(aircraft: FleetAircraft) -> Fetched:
-        fetched = await aircraft.fetch_log(file, to, shown.listener(aircraft.name))
+        fetched = await aircraft.fetch_log(file, output, shown.listener(aircraft.name))
         shown.done(fetched)
         return fetched
 

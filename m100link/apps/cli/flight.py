@@ -289,7 +289,7 @@ async def gimbal(
     seconds: Annotated[float, Above0] = 1.0,
     relative: bool = False,
     rates: bool = False,
-    wait: On = True,
+    observe: On = True,
     options: AircraftOptions = AS_SET,
 ) -> None:
     """Show the angles of the gimbal, and point it.
@@ -301,7 +301,7 @@ async def gimbal(
         seconds: Time to reach the angles, or to turn.
         relative: Count angles from the present ones.
         rates: Turn instead: the numbers are degrees per second, -180 to 180.
-        wait: Wait until telemetry shows the angles.
+        observe: Wait until telemetry shows the angles.
     """
     place = options.place(url)
     named = {"yaw": yaw, "pitch": pitch, "roll": roll}
@@ -321,7 +321,7 @@ async def gimbal(
             await aircraft.gimbal.set_angular_rates(**angles, seconds=seconds)
         elif angles:
             await aircraft.gimbal.set_angles(
-                **angles, seconds=seconds, relative=relative, wait=wait
+                **angles, seconds=seconds, relative=relative, wait=observe
             )
         state = aircraft.state
         await aircraft.wait_for(

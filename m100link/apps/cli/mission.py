@@ -278,7 +278,7 @@ async def _require_airborne(aircraft: Aircraft) -> None:
         raise UsageError(
             "the aircraft stands on the ground",
             cause="a mission that starts there may take off by itself",
-            remedy="give --take-off, or m100link takeoff first",
+            remedy="give --takeoff, or m100link takeoff first",
         )
 
 

@@ -40,11 +40,11 @@ PlanFile = Annotated[
 ]
 Target = Annotated[File, Parameter(help="File to write; - is standard output.")]
 TakeOff = Annotated[
-    bool, Parameter(help="Take off first, from the ground, as a plan with a take-off does.")
+    bool, Parameter("--takeoff", help="Take off first, from the ground, as plans with one do.")
 ]
 Format = Annotated[
     Literal["json", "plan"] | None,
-    Parameter(help="Format to write; by default the one of the file's name, else JSON."),
+    Parameter("--format", help="Format to write; by default that of the file's name, else JSON."),
 ]
 
 _WIDE = 64
@@ -270,7 +270,7 @@ def convert(
     /,
     *,
     file: FileOptions | None = None,
-    to: Format = None,
+    format_: Format = None,
     force: Force = False,
 ) -> int:
     """Convert a plan: to JSON, or for QGroundControl if the name ends in .plan.
@@ -278,7 +278,7 @@ def convert(
     The command refuses a QGroundControl item that the M100 cannot fly, unless you name it with
     --leave-out.
     """
-    return _write(read_plan(source, file), target, to, force=force)
+    return _write(read_plan(source, file), target, format_, force=force)
 
 
 def _write(
@@ -321,10 +321,10 @@ def survey(
     spacing: Annotated[float, Above0],
     angle: float = 0.0,
     photo_every: Annotated[float | None, Above0] = None,
-    speed: Annotated[float, Above0] = 5.0,
+    cruise_speed: Annotated[float, Above0] = 5.0,
     take_off: TakeOff = False,
     at_end: Literal["hover", "go-home", "land"] = "hover",
-    to: Format = None,
+    format_: Format = None,
     force: Force = False,
 ) -> int:
     """Write a plan of parallel lines (lawnmower) over an area.
@@ -335,7 +335,7 @@ def survey(
         spacing: Distance between lines, m.
         angle: Direction of the lines, degrees clockwise from north.
         photo_every: Metres between photographs along a line; by default it takes none.
-        speed: Speed along the lines, m/s.
+        cruise_speed: Horizontal speed, m/s.
         at_end: Action after the last line.
     """
     plan = lines_over(
@@ -344,10 +344,10 @@ def survey(
         spacing=spacing,
         angle_deg=angle,
         photo_every=photo_every,
-        speed=speed,
+        speed=cruise_speed,
         at_end=AtEnd[at_end.replace("-", "_").upper()],
     )
-    return _write(replace(plan, take_off=take_off), target, to, force=force)
+    return _write(replace(plan, take_off=take_off), target, format_, force=force)
 
 
 def degrees(

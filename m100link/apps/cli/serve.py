@@ -472,10 +472,7 @@ OF_THE_AIRCRAFT = (
 @dataclass(frozen=True)
 class MavlinkOptions(
     layer_of_settings(  # type: ignore[misc] # a class that is made
-        (
-            *OF_THE_AIRCRAFT,
-            *("mavlink", "mavlink_to", "sysid", "autopilot", "signing_key_file"),
-        ),
+        (*OF_THE_AIRCRAFT, "mavlink", "mavlink_to", "sysid", "autopilot", "signing_key_file"),
         {"mavlink": "--listen", "mavlink_to": "--to"},
     )
 ):
@@ -500,22 +497,15 @@ async def mavlink(*url: Urls, options: MavlinkOptions = MavlinkOptions()) -> int
 # -- ``m100link ros2``: aircraft as nodes of ROS 2, for RViz, Nav2, rosbag2 and every program ------
 
 
-_OF_THE_NODE = (
-    "ros2_rmw",
-    "ros2_namespace",
-    "ros2_node",
-    "ros2_domain",
-    "ros2_remap",
-    "ros2_dji_names",
-)
+_OF_THE_NODE = ("rmw", "namespace", "node", "domain", "remap", "dji_names")
 
 
 @Parameter(name="*")
 @dataclass(frozen=True)
 class Ros2Options(
     layer_of_settings(  # type: ignore[misc] # a class that is made
-        (*OF_THE_AIRCRAFT, *_OF_THE_NODE),
-        {name: f"--{name[5:].replace('_', '-')}" for name in _OF_THE_NODE},
+        (*OF_THE_AIRCRAFT, *(f"ros2_{name}" for name in _OF_THE_NODE)),
+        {f"ros2_{name}": f"--{name.replace('_', '-')}" for name in _OF_THE_NODE},
     )
 ):
     """Where the aircraft is, its names in the graph, and where its flights are recorded."""
@@ -559,7 +549,7 @@ async def replay(
     *file: Path,
     speed: Annotated[float | Literal["max"], Parameter()] = 1.0,
     from_: Annotated[float, Parameter(name="--from")] = 0.0,
-    to: float | None = None,
+    until: float | None = None,
     options: StationOptions = AS_CONFIGURED,
     page: PageOptions = IN_BROWSER,
 ) -> int:
@@ -573,11 +563,11 @@ async def replay(
         file: Flight logs of `m100link record`, `serve`, `console`, `demo` or connect(record=…).
         speed: Speed of the replay, 0.1 to 100 times the flight's, or max.
         from_: Where to begin, in seconds from the first byte.
-        to: Where to end, in seconds from the first byte.
+        until: Where to end, in seconds from the first byte.
     """
     if not file:
         raise UsageError("no flight log was named", remedy="m100link replay flight.mcap")
-    end = "" if to is None else f"&to={to!r}"
+    end = "" if until is None else f"&until={until!r}"
     urls = [f"replay://{path.absolute()}?speed={speed}&from={from_!r}{end}" for path in file]
     words = urls
     if len(urls) > 1:

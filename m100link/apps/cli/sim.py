@@ -136,21 +136,21 @@ class AssistantOptions(
         tcp: Listen on [HOST:]PORT instead, or with --link as well; port 0 chooses a free one.
         count: Number of aircraft; their ports are numbered from 0.
         pace: Let bytes take their time at --baud, in both directions.
-        rate: ITEM=HZ, a telemetry rate of the PC assistant (0, 1, 10, 50, 100); repeatable.
+        item_rate: ITEM=HZ, a telemetry rate of the PC assistant (0, 1, 10, 50, 100); repeatable.
     """
 
     link: Path | None = None
     tcp: str | None = None
     count: int = 1
     pace: On = True
-    rate: tuple[str, ...] = ()
+    item_rate: tuple[str, ...] = ()
 
     def settings(self, *, cold: bool) -> AssistantSettings:
         """As the aircraft takes them."""
         return AssistantSettings(
             api_control_enabled=not cold,
             baud_rate=self.baud_rate,
-            rates_hz=_read_rates(self.rate),
+            rates_hz=_read_rates(self.item_rate),
             acceleration=self.acceleration,
         )
 
@@ -239,7 +239,7 @@ def _read_rates(words: tuple[str, ...]) -> dict[str, int]:
     for word in words:
         name, separator, hertz = word.partition("=")
         if not separator or not hertz.isdecimal():
-            raise UsageError(f"{word!r} is not ITEM=HZ", remedy="--rate control_device=10")
+            raise UsageError(f"{word!r} is not ITEM=HZ", remedy="--item-rate control_device=10")
         rates[name] = int(hertz)
     return rates
 

@@ -70,7 +70,7 @@ async def echo(
     link: LinkOptions = BY_LINK,
     rate: Annotated[float | None, Above0] = None,
     duration: AtMost = None,
-    count: Annotated[int | None, Counted] = None,
+    packages: Annotated[int | None, Counted] = None,
     csv: bool = False,
 ) -> None:
     """Print each telemetry package as a JSON object or a CSV row.
@@ -80,7 +80,7 @@ async def echo(
 
     Args:
         rate: Packages per second, at most.
-        count: Packages until the command ends by itself.
+        packages: Packages until the command ends by itself.
         csv: Print CSV with a header line, as --table does.
     """
     if csv and OutputFormat.json:
@@ -111,7 +111,7 @@ async def echo(
                 else:
                     print_json(values)
                 printed += 1
-                if printed == count:
+                if printed == packages:
                     return
 
     async with place.connect() as aircraft:

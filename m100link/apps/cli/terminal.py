@@ -209,7 +209,7 @@ def keys_pressed(press: Callable[[str], object]) -> Iterator[bool]:
 
 _TYPED = {
     "await control.take_off() first; a waypoint mission takes take_off=True": "m100link takeoff "
-    "first; or --take-off",
+    "first; or --takeoff",
     "await control.take_off()": "m100link takeoff",
     "asyncio.Runner(loop_factory=m100link.sim.loop_factory(SPEED)), ": "leave the speed out; ",
     "infinity for max; or m100link.sync, which makes its own; or ": "an aircraft with one is ",

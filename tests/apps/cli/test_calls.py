@@ -185,7 +185,7 @@ MOVES = [
         SHOWN,
     ),
     (
-        "gimbal --pitch -10 --relative --no-wait --table",
+        "gimbal --pitch -10 --relative --no-observe --table",
         ["set_angles(pitch=-10.0, seconds=1.0, relative=True, wait=False)", SEEN],
         "yaw 3.0°, pitch -2.1°, roll 1.0°",
     ),
@@ -236,7 +236,7 @@ ASKED = [
     ("fly 1 0 -2", "", "fly 1 m north, 0 m east, -2 m up"),
     ("mission resume", "", "let the mission go on"),
     ("mission fly PLAN", "", "fly this mission"),
-    ("mission fly PLAN --take-off", "", "take off and fly this mission"),
+    ("mission fly PLAN --takeoff", "", "take off and fly this mission"),
 ]
 
 
@@ -310,13 +310,13 @@ def plan_file(tmp_path: Path) -> str:
     return str(path)
 
 
-@pytest.mark.parametrize("options", ["", "--take-off", "--allow-far"])
+@pytest.mark.parametrize("options", ["", "--takeoff", "--allow-far"])
 def test_a_mission_is_flown_as_its_options_say(
     aircraft: Any, cli: CommandLine, notes: Notes, plan_file: str, options: str
 ) -> None:
     outcome = cli("mission", "fly", plan_file, "--yes", "--max-height", "40", *options.split())
     assert outcome.status == 0, outcome
-    how = f"take_off={options == '--take-off'}, allow_far={options == '--allow-far'}"
+    how = f"take_off={options == '--takeoff'}, allow_far={options == '--allow-far'}"
     assert notes == [
         CONNECT,
         ACTIVATE,
@@ -422,7 +422,7 @@ ORDERS = [
     ("land --all", ["a1.land()", "a2.land()"], "ok"),
     ("stop a2 a1", ["a2.stop()", "a1.stop()"], "ok"),
     (
-        "goto a1 -33.9 18.4 10 --speed 3",
+        "goto a1 -33.9 18.4 10 --cruise-speed 3",
         [
             "a1.control(take_over=False)",
             "fly_to(latitude_deg=-33.9, longitude_deg=18.4, height=10.0, speed=3.0)",
@@ -433,7 +433,7 @@ ORDERS = [
     ("log list a1", ["a1.logs()"], "1.5 MB  2023-11-14 22:13:20\n"),
     ("log list a2", ["a2.logs()"], "2023-11-14 22:13:20, and still\n"),
     (
-        "log fetch a1 --file x.mcap --to logs",
+        "log fetch a1 --file x.mcap --output logs",
         ["a1.fetch_log('x.mcap', PosixPath('logs'))"],
         "a1: a1-x.mcap: 9 bytes, of which 5 were here already; the log is still being written",
     ),
@@ -459,7 +459,7 @@ def test_what_a_fleet_is_asked(
 
 @pytest.mark.usefixtures("fleet")
 def test_whose_fleet_it_is(cli: CommandLine, notes: Notes) -> None:
-    words = "--connect tcp/a:1 --connect tcp/b:2 --site north --name bert --patience 2"
+    words = "--connect tcp/a:1 --connect tcp/b:2 --site north --operator bert --patience 2"
     assert cli("fleet", "land", "a1", *words.split()).status == 0
     assert notes[0] == "connect('tcp/a:1', 'tcp/b:2', site='north', name='bert', patience=2.0)"
 
@@ -471,7 +471,7 @@ def test_whose_fleet_it_is(cli: CommandLine, notes: Notes) -> None:
         ("land", "no aircraft was named"),
         ("land a1 --all", "aircraft were named, and --all given"),
         ("goto a1 52 4 0", "must be a number above 0"),
-        ("goto a1 52 4 10 --speed -1", "must be a number above 0"),
+        ("goto a1 52 4 10 --cruise-speed -1", "must be a number above 0"),
     ],
 )
 def test_what_no_fleet_is_asked(cli: CommandLine, notes: Notes, words: str, says: str) -> None:
@@ -535,8 +535,8 @@ STATIONS: list[tuple[str, dict[str, dict[str, Any]], dict[str, Any]]] = [
         {"with_rosbridge": False},
     ),
     (
-        "replay /x/a.mcap --from 60 --to 90.5 --speed 4",
-        {"m100": {"url": "replay:///x/a.mcap?speed=4.0&from=60.0&to=90.5", "record": None}},
+        "replay /x/a.mcap --from 60 --until 90.5 --speed 4",
+        {"m100": {"url": "replay:///x/a.mcap?speed=4.0&from=60.0&until=90.5", "record": None}},
         {"with_console": True, "with_rosbridge": False, "open_browser": True, "keys": serve._keys},
     ),
     (
@@ -675,7 +675,7 @@ VIRTUAL: list[tuple[str, dict[str, Any]]] = [
     ),
     ("--seed 5 --wind-north 3 --wind-east -2", {"wind_north": 3.0, "wind_east": -2.0}),
     ("--seed 5 --loss 0.25 --damage 0.5", {"loss": 0.25, "damage": 0.5}),
-    ("--seed 5 --baud 115200 --rate rc=10 --rate battery=0", {"baud_rate": 115200}),
+    ("--seed 5 --baud 115200 --item-rate rc=10 --item-rate battery=0", {"baud_rate": 115200}),
     ("--seed 5 --tcp 7000 --duration 3", {"tcp": ("127.0.0.1", 7000), "duration": 3.0}),
     ("--seed 5 --tcp 0.0.0.0:0 --link /x", {"tcp": ("0.0.0.0", 0), "link": Path("/x")}),
 ]
@@ -708,4 +708,4 @@ def test_what_is_simulated(
         found |= {name: getattr(one, name) for name in expected if hasattr(one, name)}
     assert {name: found.get(name) for name in expected} == expected
     rates = [assistant.rates_hz[name] for name in ("rc", "battery")]
-    assert (rates, plan.seed) == ([10, 0] if "--rate" in words else [50, 1], 5)
+    assert (rates, plan.seed) == ([10, 0] if "--item-rate" in words else [50, 1], 5)

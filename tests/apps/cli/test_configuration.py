@@ -202,7 +202,7 @@ def test_a_name_is_as_good_as_a_url_for_every_verb(
     described = cli("info", *named, "--duration", "0.1").objects[0]
     assert (described["url"], described["firmware"]) == ("sim://?firmware=2.3", "2.3")
     assert cli("activate", *named).objects[0]["app_id"] == DEMO_APP_ID
-    assert "position.height_m" in cli("echo", *named, "position", "--count", "1").out
+    assert "position.height_m" in cli("echo", *named, "position", "--packages", "1").out
     assert "take off first" in cli("fly", *named, "-2", "0", "1").err
 
 

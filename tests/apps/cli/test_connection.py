@@ -66,7 +66,7 @@ def test_a_rule_is_printed_and_installed(
 ) -> None:
     monkeypatch.setattr(doctor_module, "serial_ports", lambda: ["/dev/ttyUSB99"])
     monkeypatch.setattr(Machine, "adapter", lambda *_: FTDI)
-    printed = cli("udev", "--name", "left", "--group", "plugdev")
+    printed = cli("udev", "--link", "left", "--group", "plugdev")
     assert printed.status == 0
     assert 'SYMLINK+="left", GROUP="plugdev"' in printed.out
     place = tmp_path / "70-m100.rules"

@@ -38,7 +38,7 @@ ON_THE_LINE = [
     ("monitor sim:// --duration 1.5", ("time quaternion velocity angular_velocity "
      "position rc gimbal flight_status")),
     ("hz sim:// --duration 0.5", "items device_clock telemetry_mismatches"),
-    ("echo sim:// position --count 1", ("received_at utc position.latitude_rad "
+    ("echo sim:// position --packages 1", ("received_at utc position.latitude_rad "
      "position.longitude_rad position.altitude_m position.height_m position.gps_health")),
     ("plot sim:// --duration 0.5", "column values"),
     ("link sim:// --duration 0.3", "asked unanswered"),
@@ -212,7 +212,7 @@ def test_each_verb_prints_as_it_is_asked_to() -> None:
 
 @pytest.mark.parametrize("words", ["position sim://", "sim:// position", "sim:// POS"])
 def test_the_aircraft_stands_before_or_behind_the_items(cli: CommandLine, words: str) -> None:
-    told = cli("echo", *words.split(), "--count", "1")
+    told = cli("echo", *words.split(), "--packages", "1")
     assert told.status == ExitCode.OK
     assert "position.height_m" in told.objects[0]
 

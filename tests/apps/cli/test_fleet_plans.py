@@ -206,7 +206,7 @@ def until(site: Site, is_so: Callable[[dict[str, Any]], object]) -> dict[str, An
 
 
 def fly(site: Site, plan: Path) -> subprocess.Popen[str]:
-    return site.start("mission", "fly", "a1", str(plan), "--take-off", "--yes", "--json")
+    return site.start("mission", "fly", "a1", str(plan), "--takeoff", "--yes", "--json")
 
 
 @needs_zenoh

@@ -54,7 +54,7 @@ def agent(site: Site, *words: str) -> subprocess.Popen[str]:
 
 def cut_off(site: Site, here: Path, at: int = 150_000) -> subprocess.Popen[str]:
     """A fetch under way, of which so much is here."""
-    process = site.start("log", "fetch", "a1", "--file", OLD, "--to", str(here))
+    process = site.start("log", "fetch", "a1", "--file", OLD, "--output", str(here))
     part = here / f"a1-{OLD}.part"
     ends = time.monotonic() + PATIENCE
     while time.monotonic() < ends and (not part.exists() or part.stat().st_size < at):
@@ -64,7 +64,7 @@ def cut_off(site: Site, here: Path, at: int = 150_000) -> subprocess.Popen[str]:
 
 
 def fetched(site: Site, here: Path) -> dict[str, Any]:
-    status, [told] = site.ask("log", "fetch", "a1", "--file", OLD, "--to", str(here))
+    status, [told] = site.ask("log", "fetch", "a1", "--file", OLD, "--output", str(here))
     assert (status, told["outcome"]) == (0, "ok")
     return told
 
@@ -90,7 +90,7 @@ def test_logs_are_listed_and_fetched_and_one_that_is_written_is_said(
     assert [line.split()[1] for line in listed] == ["log", told[0]["log"], OLD]
     assert "1.0 MB" in listed[2]
     assert listed[1].endswith(", and still")
-    status, [newest] = site.ask("log", "fetch", "a1", "--to", str(tmp_path / "here"))
+    status, [newest] = site.ask("log", "fetch", "a1", "--output", str(tmp_path / "here"))
     assert (status, newest["log"], newest["is_written"]) == (0, told[0]["log"], True)
     assert not read(newest["path"]).summary().is_whole
     assert fetched(site, tmp_path / "here")["came"] == SIZE
@@ -100,7 +100,7 @@ def test_logs_are_listed_and_fetched_and_one_that_is_written_is_said(
 
 def test_mistakes_are_reported_with_what_to_do(site: Site, onboard: Path, tmp_path: Path) -> None:
     agent(site)
-    status, [told] = site.ask("log", "fetch", "a1", "--file", "../a2/x", "--to", str(tmp_path))
+    status, [told] = site.ask("log", "fetch", "a1", "--file", "../a2/x", "--output", str(tmp_path))
     assert (status, told["outcome"]) == (1, "refused")
     assert told["remedy"] == "m100link fleet log list a1"
     status, [told] = site.ask("log", "fetch", "a7")

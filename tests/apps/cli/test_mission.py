@@ -57,7 +57,7 @@ def long(tmp_path: Path) -> str:
 def begin(*arguments: str) -> subprocess.Popen[str]:
     """A flight in a process of its own, up to its first waypoint."""
     running = subprocess.Popen(
-        [sys.executable, "-m", "m100link", "mission", "fly", *arguments, "--take-off", "--yes"],
+        [sys.executable, "-m", "m100link", "mission", "fly", *arguments, "--takeoff", "--yes"],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -73,7 +73,7 @@ def begin(*arguments: str) -> subprocess.Popen[str]:
 
 @pytest.mark.pty
 def test_a_plan_is_flown_and_reported_as_json(later: Simulator, app: list[str], short: str) -> None:
-    outcome = process("mission", "fly", short, later.port, "--take-off", "--yes", *app)
+    outcome = process("mission", "fly", short, later.port, "--takeoff", "--yes", *app)
     assert outcome.status == 0, outcome
     steps = [told["event"] for told in outcome.objects if told["event"] != "mission_progress"]
     assert steps[:2] == ["uploaded", "started"]
@@ -171,8 +171,8 @@ def test_output_that_nobody_reads_stops_it_and_is_not_success(
 def test_flying_wants_to_be_confirmed(later: Simulator, app: list[str], short: str) -> None:
     outcome = process("mission", "fly", short, later.port, *app)
     assert outcome.status == ExitCode.USAGE
-    assert "what to do:   give --take-off, or m100link takeoff first" in outcome.err
-    outcome = process("mission", "fly", short, later.port, "--take-off", *app)
+    assert "what to do:   give --takeoff, or m100link takeoff first" in outcome.err
+    outcome = process("mission", "fly", short, later.port, "--takeoff", *app)
     assert outcome.status == ExitCode.USAGE
     assert "fly this mission was not confirmed" in outcome.err
     outcome = process("mission", "resume", later.port, *app)
@@ -180,7 +180,7 @@ def test_flying_wants_to_be_confirmed(later: Simulator, app: list[str], short: s
 
 
 def test_nothing_is_announced_to_who_gave_no_app_id(cli: CommandLine, short: str) -> None:
-    outcome = cli("mission", "fly", short, "/dev/no-such-port", "--take-off")
+    outcome = cli("mission", "fly", short, "/dev/no-such-port", "--takeoff")
     assert outcome.status == ExitCode.USAGE
     assert "app id" in outcome.err
     assert "waypoints, about" not in outcome.err
@@ -192,20 +192,20 @@ SIM = "sim://?firmware=3.1"
 @pytest.mark.parametrize(
     ("arguments", "status", "words"),
     [
-        (("fly", "PLAN", SIM), ExitCode.USAGE, "m100link takeoff first; or --take-off\n"),
+        (("fly", "PLAN", SIM), ExitCode.USAGE, "m100link takeoff first; or --takeoff\n"),
         (
             ("fly", "PLAN", SIM + "&speed=9"),
             ExitCode.USAGE,
             "leave the speed out; an aircraft with",
         ),
-        (("fly", "PLAN", "sim://", "--take-off"), ExitCode.REFUSED, "firmware 1.0 does not know"),
+        (("fly", "PLAN", "sim://", "--takeoff"), ExitCode.REFUSED, "firmware 1.0 does not know"),
         (
             ("fly", "PLAN", "/dev/no-such-port", "--max-height", "2"),
             ExitCode.REFUSED,
             "waypoint 0 of the waypoint mission to a height of",
         ),
         (
-            ("fly", "PLAN", SIM, "--take-off", "--max-height", "2"),
+            ("fly", "PLAN", SIM, "--takeoff", "--max-height", "2"),
             ExitCode.REFUSED,
             "a target inside, or --max-height\n",
         ),

@@ -119,7 +119,7 @@ def test_what_is_not_a_plan_ends_with_an_error_and_no_traceback(
         ("plan", "check", "x", "--home", "nan,0"),
         ("plan", "check", "x", "--hover-minutes", "0"),
         ("plan", "convert", "x"),
-        ("plan", "convert", "x", "y", "--to", "kml"),
+        ("plan", "convert", "x", "y", "--format", "kml"),
     ],
     ids=" ".join,
 )
@@ -229,11 +229,11 @@ def test_json_becomes_a_plan_of_qgroundcontrol_and_back(
 
 
 def test_nothing_is_written_over_that_nobody_named(cli: CommandLine, file: str) -> None:
-    outcome = cli("plan", "convert", file, file, "--to", "plan")
+    outcome = cli("plan", "convert", file, file, "--format", "plan")
     assert outcome.status == ExitCode.USAGE
     assert "is there already" in outcome.err
     assert WaypointPlan.read(file) == PLAN
-    assert cli("plan", "convert", file, file, "--to", "plan", "--force").status == ExitCode.OK
+    assert cli("plan", "convert", file, file, "--format", "plan", "--force").status == ExitCode.OK
     assert '"fileType"' in Path(file).read_text()
 
 
@@ -241,7 +241,7 @@ def test_standard_streams_are_files_too(
     cli: CommandLine, file: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert cli("plan", "convert", file, "-").out == PLAN.to_json()
-    text = cli("plan", "convert", file, "-", "--to", "plan").out
+    text = cli("plan", "convert", file, "-", "--format", "plan").out
     monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(text.encode())))
     assert cli("plan", "convert", "-", "-").out == PLAN.to_json()
 
@@ -303,7 +303,7 @@ def test_a_survey_takes_off_and_ends_as_it_is_told(
 ) -> None:
     target = tmp_path / f"field.{kind}"
     lines = ("--height", "30", "--spacing", "15")
-    ended = cli("plan", "survey", str(target), *FIELD, *lines, "--take-off", "--at-end", words)
+    ended = cli("plan", "survey", str(target), *FIELD, *lines, "--takeoff", "--at-end", words)
     assert ended.status == ExitCode.OK
     plan = WaypointPlan.read(target)
     assert (plan.take_off, plan.at_end) == (True, end)

@@ -23,7 +23,7 @@ from tests.waiting import PATIENCE
 
 @pytest.mark.pty
 def test_echo_as_json_and_as_csv(simulator: Simulator) -> None:
-    outcome = process("echo", simulator.port, "position", "battery", "--count", "5")
+    outcome = process("echo", simulator.port, "position", "battery", "--packages", "5")
     assert outcome.status == 0
     assert len(outcome.objects) == 5
     times = [line["received_at"] for line in outcome.objects]
@@ -33,7 +33,7 @@ def test_echo_as_json_and_as_csv(simulator: Simulator) -> None:
     assert utc[-1] == pytest.approx(time.time(), abs=60.0)
     assert [at - utc[0] for at in utc] == pytest.approx([at - times[0] for at in times], abs=1e-5)
     assert outcome.objects[0]["position.gps_health"] == 5
-    table = process("echo", simulator.port, "position", "--csv", "--rate", "10", "--count", "10")
+    table = process("echo", simulator.port, "position", "--csv", "--rate", "10", "--packages", "10")
     rows = list(csv.DictReader(io.StringIO(table.out)))
     assert len(rows) == 10
     seconds = float(rows[-1]["received_at"]) - float(rows[0]["received_at"])
@@ -55,7 +55,7 @@ def test_hz_measures(simulator: Simulator) -> None:
 
 @pytest.mark.pty
 def test_plot_of_a_recorded_span_and_live(simulator: Simulator, tmp_path: Path) -> None:
-    recorded = process("echo", simulator.port, "position", "--csv", "--count", "50")
+    recorded = process("echo", simulator.port, "position", "--csv", "--packages", "50")
     path = tmp_path / "span.csv"
     path.write_text(recorded.out)
     drawn = process("plot", str(path), "position.height_m")
@@ -93,7 +93,7 @@ def test_what_is_plotted_live_has_its_time_and_its_value(
 
 
 def test_echo_prints_its_table_as_csv(cli: CommandLine) -> None:
-    table = cli("echo", "sim://?seed=1", "position", "--count", "1", "--table")
+    table = cli("echo", "sim://?seed=1", "position", "--packages", "1", "--table")
     assert table.out.startswith("received_at,utc,position.latitude_rad,")
 
 

@@ -140,7 +140,7 @@ def test_a_verb_and_an_option_that_a_sentence_names_exist() -> None:
 # -- run literally ---------------------------------------------------------------------------------
 
 
-_ENDLESS = {"record": ("--duration", "1"), "echo": ("--count", "1")}
+_ENDLESS = {"record": ("--duration", "1"), "echo": ("--packages", "1")}
 """Verbs that Ctrl-C ends, and what ends them here."""
 _ELSEWHERE = {
     *("console", "serve", "mavlink", "ros2", "replay", "sim", "fleet", "map", "completion"),

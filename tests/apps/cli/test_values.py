@@ -139,7 +139,7 @@ def test_one_package_has_no_gap_behind_it(count: int, gap_s: float | None) -> No
 
 def test_echo_says_when_in_posix_time(cli: CommandLine) -> None:
     """Seconds since 1970, and the clock of the event loop, which counts from anywhere."""
-    for line in cli("echo", "sim://", "position", "--json", "--count", "3").objects:
+    for line in cli("echo", "sim://", "position", "--json", "--packages", "3").objects:
         assert line["utc"] == pytest.approx(time.time(), abs=300.0)
         assert list(line)[:2] == ["received_at", "utc"]
 

@@ -132,7 +132,7 @@ class LogFetcher:
         if have > entry.size or await self._digest(entry.log, have) != digest:
             raise UsageError(
                 f"{part.whole} is there already, and is another log",
-                remedy="name another folder by --to",
+                remedy="name another folder by --output",
             )
         return have
 

@@ -205,5 +205,5 @@ def _telling(path: Path) -> Iterator[None]:
     except OSError as error:
         raise UsageError(
             f"{path}: {error.strerror or error}",
-            remedy="make room there, or name another folder by --to",
+            remedy="make room there, or name another folder by --output",
         ) from error

@@ -216,7 +216,7 @@ def test_a_disk_that_takes_no_more_is_reported_and_what_came_stays(tmp_path: Pat
 
 def test_a_folder_that_cannot_be_is_reported(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    with pytest.raises(UsageError, match="--to"):
+    with pytest.raises(UsageError, match="--output"):
         LogPart(tmp_path / "file" / "below", "x")
     part = LogPart(tmp_path, "y" * 300)
     with pytest.raises(UsageError):
