@@ -405,7 +405,7 @@ def fly_show(
     for problem in report.problems:
         say(f"✗ {problem.seen}", to=err)
     if not report.ok:
-        raise UsageError("this show must not be flown", remedy="m100link fleet show check FILE")
+        raise UsageError("this show must not be flown", remedy=f"m100link fleet show check {show}")
     if not yes:
         names = ", ".join(track.name for track in found.tracks)
         question = f"{names} take off and fly for {found.duration:g} s. Go on?"

@@ -108,7 +108,9 @@ async def diagnose(
 
     findings = []
     async with aclosing(look()) as stages:
-        async for finding in stages:
+        async for found in stages:
+            to_do = (one.replace(" PORT", f" {address}") for one in found.commands)
+            finding = replace(found, commands=tuple(to_do))
             findings.append(finding)
             tell(finding)
             if finding.verdict is Verdict.FAILED:

@@ -373,3 +373,4 @@ def test_nobody_takes_off_without_a_yes_or_by_a_show_that_is_not_sound(
     assert outcome.status == ExitCode.USAGE
     assert "the envelope ends at 5 m" in outcome.err
     assert "this show must not be flown" in outcome.err
+    assert f"m100link fleet show check {FIVE}" in outcome.err

@@ -491,6 +491,7 @@ def row(set_up: SetUp, report: Report) -> str:
         cells[1:3] = f"{named.stage.title}: **{named.verdict}**", named.causes[0]
         cells[3] = named.commands[0]
     text = "| " + " | ".join([*cells, str(exit_status(report))]) + " |"
+    text = text.replace(f" {report.place}", " PORT")  # which the manual cannot know
     # What differs from machine to machine.
     text = re.sub(r"ports on this machine: [^|]*", "m100link ports ", text)
     text = re.sub(r"(console=|getty@)\d+", r"\1ttyUSB0", text)

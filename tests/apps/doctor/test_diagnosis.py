@@ -62,6 +62,8 @@ async def test_the_diagnosis_is_right(name: str, monkeypatch: pytest.MonkeyPatch
     stages = [one.stage for one in report.findings]
     assert stages == sorted(stages, key=list(Stage).index)
     assert all(one.causes and one.commands for one in report.doubts)
+    commands = " ".join(command for one in report.findings for command in one.commands)
+    assert " PORT" not in commands, "a command is typed as it stands"
     text = json.dumps(report.to_json()) + repr([one.details for one in report.findings])
     for secret in (DEMO_KEY.reveal().hex(), str(DEMO_APP_ID), "11" * 32, str(OTHER_APP.app_id)):
         # As a word: other numbers, such as those of processes, may have these digits in them.
