@@ -23,7 +23,7 @@ from m100link.apps.station.log_output import log_of
 from m100link.errors import UsageError
 from m100link.errors.texts import printable
 from m100link.link.url import parse_url
-from m100link.protocol.commands.activation import Credentials
+from m100link.protocol.commands.activation import RATES_HZ, Credentials
 from m100link.protocol.firmware import PROFILES
 from m100link.protocol.records import AccelerationMode
 
@@ -271,6 +271,22 @@ def run_async(work: Coroutine[Any, Any, int | None]) -> int:
             return runner.run(work) or ExitCode.OK
     except asyncio.CancelledError:  # a signal came before it ran
         return ExitCode.OK
+
+
+def pairs(words: Iterable[str]) -> dict[str, int]:
+    """Rates by item. Raises UsageError: a word is not ITEM=HZ."""
+    found: dict[str, int] = {}
+    for word in words:
+        name, _, rate = word.partition("=")
+        if not rate.isascii() or not rate.isdigit():
+            raise UsageError(
+                f"{word!r} is not a rate",
+                remedy=f"ITEM=HZ, such as attitude=50; rates: {', '.join(map(str, RATES_HZ))}",
+            )
+        if name in found:
+            raise UsageError(f"two rates were given for {name}", remedy="give one")
+        found[name] = int(rate)
+    return found
 
 
 async def until(seconds: float | None, work: Any) -> None:

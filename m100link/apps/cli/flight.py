@@ -30,6 +30,7 @@ from m100link.apps.cli.common import (
     LinkOptions,
     Url,
     err,
+    pairs,
     places,
 )
 from m100link.apps.cli.options import Above0, On, Yes, offered
@@ -40,7 +41,7 @@ from m100link.flight.guards import Guards
 from m100link.flight.guidance import GuidanceProgress
 from m100link.flight.mission_state import MissionKind
 from m100link.flight.tasks import TaskProgress, describe_situation
-from m100link.protocol.commands.activation import RATES_HZ, Credentials
+from m100link.protocol.commands.activation import Credentials
 from m100link.protocol.commands.missions import MissionStatus
 from m100link.protocol.items import BY_RECORD
 from m100link.protocol.records import Gimbal
@@ -401,7 +402,8 @@ async def rates(
             attitude=50 battery=1, each 0, 1, 10, 50 or 100 Hz.
     """
     place, asked = link.place_among(words, _is_rate)
-    wanted = _pairs(asked)
+    if wanted := pairs(asked):  # refuse before a port is opened
+        rates_by_item(wanted)
     async with place.connect() as aircraft:
         if wanted:
             await aircraft.set_telemetry_rates(**wanted)
@@ -418,21 +420,3 @@ async def rates(
 
 def _is_rate(word: str) -> bool:
     return "=" in word and "/" not in word  # sim://?firmware=3.1 is a place
-
-
-def _pairs(words: Sequence[str]) -> dict[str, int]:
-    """Rates by item. Raises UsageError: a word is not ITEM=HZ."""
-    found: dict[str, int] = {}
-    for word in words:
-        name, _, rate = word.partition("=")
-        if not rate.isascii() or not rate.isdigit():
-            raise UsageError(
-                f"{word!r} is not a rate",
-                remedy=f"ITEM=HZ, such as attitude=50; rates: {', '.join(map(str, RATES_HZ))}",
-            )
-        if name in found:
-            raise UsageError(f"two rates were given for {name}", remedy="give one")
-        found[name] = int(rate)
-    if found:  # refuse before a port is opened
-        rates_by_item(found)
-    return found

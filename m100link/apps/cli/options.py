@@ -57,12 +57,7 @@ def group(name: str, text: str) -> App:
 
 
 def offered(candidates: Iterable[str] | Callable[[], Iterable[str]]) -> Any:
-    """Words that a shell offers when Tab is pressed.
-
-    With a cyclopts that cannot (before 5) nothing is offered.
-    """
-    if not hasattr(Parameter, "completer"):
-        return Parameter()
+    """Words that a shell offers when Tab is pressed."""
     return Parameter(completer=lambda _: list(candidates() if callable(candidates) else candidates))
 
 

@@ -16,7 +16,7 @@ from rich.table import Table
 from rich.text import Text
 
 from m100link.apps.agent.background import when_signalled
-from m100link.apps.cli.common import out, until
+from m100link.apps.cli.common import out, pairs, until
 from m100link.apps.cli.options import Above0, On, Simulated, group, options_of
 from m100link.apps.cli.terminal import (
     AS_IT_IS,
@@ -150,7 +150,7 @@ class AssistantOptions(
         return AssistantSettings(
             api_control_enabled=not cold,
             baud_rate=self.baud_rate,
-            rates_hz=_read_rates(self.item_rate),
+            rates_hz=pairs(self.item_rate),
             acceleration=self.acceleration,
         )
 
@@ -232,16 +232,6 @@ def run(
     plan = _Plan(aircraft, assistant.link, address, scenario, duration, seed)
     with asyncio.Runner(loop_factory=loop_factory(speed)) as runner:
         return runner.run(_serve(plan))
-
-
-def _read_rates(words: tuple[str, ...]) -> dict[str, int]:
-    rates = {}
-    for word in words:
-        name, separator, hertz = word.partition("=")
-        if not separator or not hertz.isdecimal():
-            raise UsageError(f"{word!r} is not ITEM=HZ", remedy="--item-rate control_device=10")
-        rates[name] = int(hertz)
-    return rates
 
 
 def _read_address(text: str) -> tuple[str, int]:

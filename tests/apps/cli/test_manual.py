@@ -10,7 +10,6 @@ import sys
 from pathlib import Path
 
 import pytest
-from cyclopts import Parameter
 
 import m100link
 from m100link.apps.cli.app import VERBS
@@ -237,9 +236,6 @@ def test_a_value_of_the_wrong_kind_is_found_before_a_flight(
 # -- completion in the shells themselves, as far as they are installed -----------------------------
 
 
-ASKS_BACK = hasattr(Parameter, "completer")
-"""Whether a shell may ask for candidates when the tabulator is pressed: cyclopts 5."""
-
 # bash calls the function with the words up to the cursor; it is what readline would do.
 BASH = """
 source completion
@@ -293,13 +289,12 @@ def test_the_shell_completes_verbs_options_and_aircraft(
     (tmp_path / "survey.plan").touch()
     for verb in (("mission", "fly"), ("plan", "check"), ("plan", "show"), ("plan", "convert")):
         assert completed(shell, tmp_path, *verb, "sur") == {"survey.plan"}
-    if ASKS_BACK:
-        assert completed(shell, tmp_path, "fly", "la") == {"lab-m100"}
-        assert completed(shell, tmp_path, "takeoff", "--url", "v") == {"virtual"}
-        assert completed(shell, tmp_path, "echo", "virtual", "magn") == {"magnetometer"}
-        height = {"position.height_m"}
-        assert completed(shell, tmp_path, "plot", "virtual", "position.he") == height
-        assert completed(shell, tmp_path, "info", "--firmware", "2") == {"2.3"}
+    assert completed(shell, tmp_path, "fly", "la") == {"lab-m100"}
+    assert completed(shell, tmp_path, "takeoff", "--url", "v") == {"virtual"}
+    assert completed(shell, tmp_path, "echo", "virtual", "magn") == {"magnetometer"}
+    height = {"position.height_m"}
+    assert completed(shell, tmp_path, "plot", "virtual", "position.he") == height
+    assert completed(shell, tmp_path, "info", "--firmware", "2") == {"2.3"}
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])

@@ -841,10 +841,10 @@ async def test_what_is_no_action_of_the_camera(words: tuple[str, ...], seen: str
 )
 def test_rates_are_pairs(words: list[str], found: Any) -> None:
     if isinstance(found, dict):
-        assert flight._pairs(words) == found
+        assert common.pairs(words) == found
         return
     with pytest.raises(UsageError) as caught:
-        flight._pairs(words)
+        common.pairs(words)
     assert caught.value.seen == found
 
 
