@@ -266,8 +266,9 @@ class SetpointLoop:
 
     def _tell_slow(self) -> None:
         _logger.warning(
-            "setpoints go out at %.0f Hz, less than %.0f %% of what is asked for: this computer or "
-            "its program does not keep up",
+            "setpoints go out at %.0f Hz, less than %.0f %% of what is asked for: this computer is "
+            "too busy, or the program blocks its event loop. End other programs, or ask for fewer: "
+            "m100link docs performance",
             self.pace.rate_hz,
             100 * KEPT,
         )

@@ -643,6 +643,7 @@ async def test_a_rate_that_is_not_kept_is_reported_once_and_counted(
         await renewed_each(rig, 0.04, 5.0)
         told = [record.message for record in caplog.records]
     assert [one.partition(",")[0] for one in told] == ["setpoints go out at 25 Hz"]
+    assert "too busy, or the program blocks its event loop. End other programs" in told[0]
     pace = rig.setpoints.pace
     assert pace.rate_hz == pytest.approx(25.0, abs=0.5)
     assert pace.missed == sum(missed) == pytest.approx(125, abs=2)

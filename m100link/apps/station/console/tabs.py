@@ -25,6 +25,7 @@ from m100link.protocol.records import FlightPhase
 from m100link.telemetry.state import AircraftState
 
 LIVE_INTERVAL = 0.05  # seconds between two updates of the instruments
+WATCHED = 100  # of these, over which the average tells a slow computer from a moment's work
 OTHERS_INTERVAL = 0.5  # seconds between two places of the aircraft that the page does not show
 
 MOVE_PATIENCE = 8.0
@@ -141,6 +142,7 @@ class Tabs:
         self.tabs: dict[str, Tab] = {}  # those that are open
         self.looks = Preferences()  # what their operators said before a take-off
         self._places: dict[str, _Place] = {}
+        self._slept = LIVE_INTERVAL  # between two updates, on average, s; nan once it was too long
 
     def open(self, aircraft: str = "", moved: str = "") -> tuple[str, Tab]:
         if aircraft not in self.agents:
@@ -249,6 +251,17 @@ class Tabs:
         if place.leaving.is_set() and websocket.client_state is WebSocketState.CONNECTED:
             await websocket.close(WS_1008_POLICY_VIOLATION, "another tab needs the place")
 
+    def _watch(self, agent: AgentClient, slept: float) -> None:
+        """Report once that pages get half of their updates: nothing else would show it."""
+        self._slept += (slept - self._slept) / WATCHED
+        if self._slept > 2 * LIVE_INTERVAL:
+            agent.note(
+                "this computer is too busy: pages get less than half of their 20 updates a second. "
+                "Close tabs and other programs: m100link docs performance",
+                "warning",
+            )
+            self._slept = math.nan
+
     async def _read(self, websocket: WebSocket, place: _Place) -> None:
         async for frame in frames_of(websocket):
             place.heard_at, place.has_spoken = self._agent.now, True
@@ -274,7 +287,9 @@ class Tabs:
                     began_at = agent.now
                     await websocket.send_json(message)  # waits for a page that takes nothing
                     tab.dropped += int((agent.now - began_at) / LIVE_INTERVAL)
+                    began_at = agent.now
                     await asyncio.sleep(LIVE_INTERVAL)
+                    self._watch(agent, agent.now - began_at)
                 else:
                     # Else the page could not tell a silent agent from a silent station.
                     await websocket.send_json({"op": "unheard"})

@@ -20,6 +20,7 @@ from m100link.apps.agent import orders
 from m100link.apps.station.console import tabs as module
 from m100link.apps.station.console.kept import PlotHistory
 from m100link.apps.station.console.tabs import Preferences, Tabs
+from m100link.sim.clock import VirtualClockEventLoop
 from tests.apps.station.conftest import Rig
 from tests.waiting import PATIENCE
 
@@ -101,6 +102,25 @@ async def test_what_a_slow_page_does_not_get_is_counted_for_its_tab(rig: Rig) ->
     slow.leave()
     await slow.work
     assert tabs.dropped() == {"fast": 0}
+
+
+@pytest.mark.parametrize(("turn_s", "times"), [(0.09, 0), (0.12, 1)])
+async def test_a_computer_that_is_too_slow_for_its_pages_says_so_once(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch, turn_s: float, times: int
+) -> None:
+    """20 updates a second are due, each 50 ms; the loop comes to run each so many seconds."""
+    told: list[tuple[str, str]] = []
+    monkeypatch.setattr(rig.front, "note", lambda text, level="info": told.append((level, text)))
+    loop = asyncio.get_running_loop()
+    assert isinstance(loop, VirtualClockEventLoop)
+    page = Page(rig, Tabs({"m100": rig.front}))
+    await anyio.sleep(0.2)
+    for _ in range(250):
+        await asyncio.sleep(1e-4)
+        loop._jumping.now += turn_s
+    assert page.is_open
+    assert [level for level, _ in told] == ["warning"] * times
+    assert all("Close tabs and other programs" in text for _, text in told)
 
 
 async def test_a_socket_is_for_a_tab_that_was_opened_and_for_one_at_a_time(rig: Rig) -> None:
