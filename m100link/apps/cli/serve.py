@@ -5,12 +5,11 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-import math
 import os
 import re
 import sys
 import webbrowser
-from collections.abc import AsyncIterator, Callable, Iterator, Sequence
+from collections.abc import AsyncIterator, Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from importlib.util import find_spec
@@ -27,14 +26,13 @@ from m100link.apps.cli.terminal import (
     ExitCode,
     LogOptions,
     as_json,
-    keys_pressed,
     panel,
     print_json,
     tell,
 )
 from m100link.apps.station.config import ONLY_NAME, Settings, namespace_of, resolve
 from m100link.apps.station.log_output import FlightProgress, log_of, tell_elsewhere
-from m100link.errors import M100Error, UsageError
+from m100link.errors import UsageError
 from m100link.errors.usage import of_extra
 
 if TYPE_CHECKING:
@@ -78,7 +76,6 @@ async def run_station(
     with_console: bool = False,
     with_rosbridge: bool = True,
     open_browser: bool = False,
-    keys: Keys | None = None,  # takes the keys of the terminal while it runs
 ) -> int:
     """Run a station until a signal ends it. Raises UsageError: a setting is missing or wrong."""
     if options.show_config:
@@ -106,8 +103,7 @@ async def run_station(
                 front.on_restart.append(lambda: teller.do(announce))
             if station.sockets.ports("console") and open_browser:
                 await asyncio.to_thread(webbrowser.open, _console_url(settings, station))
-            with contextlib.nullcontext() if keys is None else keys(station, ended):
-                await ended.wait()
+            await ended.wait()
             end = "ending: control authority goes back; a flying aircraft hovers"
             text = end if station.has_authority else "ending"
             teller.do(lambda: err.print(text))
@@ -119,10 +115,6 @@ def require_packages() -> None:
     for package in ("cbor2", "starlette", "uvicorn", "websockets"):
         if find_spec(package) is None:  # the process of the fronts loads them
             of_extra(package, "the ground station", "station")
-
-
-Keys = Callable[[Any, asyncio.Event], contextlib.AbstractContextManager[None]]
-"""Takes the running station, and the event that ends it."""
 
 
 def show(settings: Settings, aircraft: str) -> None:
@@ -529,22 +521,6 @@ async def ros2(*url: Urls, options: Ros2Options = Ros2Options()) -> int:
 # -- ``m100link replay``: recorded flights in the console, as they were ----------------------------
 
 
-KEYS = {
-    " ": "toggle",
-    "LEFT": "by -10",
-    "RIGHT": "by 10",
-    "<": "by -60",
-    ">": "by 60",
-    "+": "faster",
-    "-": "slower",
-    "1": "speed 1",
-    "m": "speed max",
-    "0": "seek 0",
-}
-
-_HELP = "keys: space pauses, ← → 10 s, < > a minute, + - speed, 1 real speed, 0 begin, q quits"
-
-
 async def replay(
     *file: Path,
     speed: Annotated[float | Literal["max"], Parameter()] = 1.0,
@@ -581,7 +557,6 @@ async def replay(
         with_console=True,
         with_rosbridge=any(asked.get(name) == "command line" for name in _OF_ROSBRIDGE),
         open_browser=page.open_browser,
-        keys=_keys,
     )
 
 
@@ -600,48 +575,3 @@ def _names(files: tuple[Path, ...]) -> list[str]:
             name = f"{stem}_{number}"
         names.append(name)
     return names
-
-
-@contextlib.contextmanager
-def _keys(station: Any, ended: asyncio.Event) -> Iterator[None]:
-    """Let keys of the terminal, if there is one, control the replay."""
-    tasks: set[asyncio.Task[None]] = set()
-
-    def pressed(key: str) -> None:
-        if key == "q":
-            ended.set()
-        elif key in KEYS:
-            task = asyncio.get_running_loop().create_task(_order(station, KEYS[key]))
-            tasks.add(task)
-            task.add_done_callback(tasks.discard)
-
-    with keys_pressed(pressed) as is_terminal:
-        if is_terminal:
-            err.print(_HELP, markup=False)
-        yield
-
-
-async def _order(station: Any, text: str) -> None:
-    from m100link.apps.agent import orders  # a station begins its fronts before it loads what flies
-
-    agents = getattr(station, "agents", None)
-    asked = [station.agent] if agents is None else [*agents.values()]
-    refused = False
-    for agent in asked:  # one that refuses keeps the order from no other
-        try:
-            await agent.ask(orders.OrderReplay(text))
-        except M100Error as error:
-            refused = True
-            err.print(error.seen, style="yellow", markup=False)
-    if refused:
-        return
-    now = station.agent.replay.progress() if agents is None else asked[0].state.replay
-    if now is not None:
-        speed = "max" if not now.speed else f"{now.speed:g} ×"
-        state = "at its end" if now.is_at_end else "paused" if now.is_paused else speed
-        err.print(f"{_clock(now.position_s)} of {_clock(now.duration_s)}, {state}", markup=False)
-
-
-def _clock(seconds: float) -> str:
-    whole = math.floor(seconds)
-    return f"{whole // 60}:{whole % 60:02d}"

@@ -16,7 +16,7 @@ import threading
 import time
 import urllib.request
 from collections.abc import AsyncIterator
-from contextlib import ExitStack, asynccontextmanager, nullcontext
+from contextlib import ExitStack, asynccontextmanager
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -546,15 +546,17 @@ async def test_the_end_says_that_control_goes_back_where_there_is_some(
         fronts: Any = SimpleNamespace(console_path=None)
         yield RunningStation(agent, None, fronts, Sockets({})), None
 
-    def at_once(_: object, ended: asyncio.Event) -> nullcontext[None]:
+    async def there(*_: object) -> None:
         ended.set()
-        return nullcontext()
 
+    ended = asyncio.Event()
+    monkeypatch.setattr(serve, "Ended", lambda: ended)
+    monkeypatch.setattr(serve, "_are_there", there)
     monkeypatch.setattr(serve, "_running", played)
     for process_wide in ("tell_elsewhere", "log_of"):
         monkeypatch.setattr(serve, process_wide, lambda _: None)
     monkeypatch.setattr("m100link.apps.station.supervisor.leave_what_stays", lambda: None)
-    await serve.run_station({"one": Settings(sim=True)}, serve.AS_USUAL, keys=at_once)
+    await serve.run_station({"one": Settings(sim=True)}, serve.AS_USUAL)
     end = "ending: control authority goes back; a flying aircraft hovers"
     assert capsys.readouterr().err.splitlines()[-1] == (end if has_authority else "ending")
 

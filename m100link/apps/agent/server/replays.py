@@ -8,7 +8,7 @@ from m100link.aircraft import Aircraft
 from m100link.aircraft.replaying import open_replay
 from m100link.apps.agent.messages import Replay
 from m100link.errors import OnlyRecorded, UsageError
-from m100link.link.url import FASTEST, SLOWEST, parse_replay
+from m100link.link.url import parse_replay
 from m100link.log.player import Begin, Player, ReplayedLink
 from m100link.protocol.firmware import profile
 
@@ -76,11 +76,11 @@ class Replays:
         )
 
     async def order(self, text: str) -> None:
-        """Do the order of a page or a key.
+        """Do the order of a page.
 
         Args:
-            text: ``pause``, ``resume``, ``toggle``, ``seek 30``, ``by -10``, ``speed 2``,
-                ``speed max``, ``faster`` or ``slower``.
+            text: ``pause``, ``resume``, ``toggle``, ``seek 30``, ``by -10``, ``speed 2`` or
+                ``speed max``.
 
         Raises:
             UsageError: There is no such order, or it does not play.
@@ -97,9 +97,6 @@ class Replays:
             player.resume()
         elif word == "toggle":
             await self.order("resume" if player.is_paused or player.is_at_end else "pause")
-        elif word in ("faster", "slower"):
-            factor = 2.0 if word == "faster" else 0.5
-            player.set_speed(min(FASTEST, max(SLOWEST, player.speed * factor)))
         elif word == "speed":
             player.set_speed(math.inf if number == "max" else _number(number))
         elif word == "seek":
@@ -109,7 +106,7 @@ class Replays:
         else:
             raise UsageError(
                 f"a replay does not know {word!r}",
-                remedy="pause, resume, toggle, seek, by, speed, faster, slower",
+                remedy="pause, resume, toggle, seek, by, speed",
             )
 
 

@@ -159,24 +159,6 @@ async def test_it_is_moved_stands_at_its_end_and_goes_on(path: Path) -> None:
                 await client.ask(orders.OrderReplay(wrong))
 
 
-async def test_it_is_played_twice_and_half_as_fast_within_limits(path: Path) -> None:
-    async with station(f"replay://{path}") as (_, client):
-
-        async def speed(*words: str) -> float:
-            for order in words:
-                await client.ask(orders.OrderReplay(order))
-            await asyncio.sleep(0.3)
-            told = client.state.replay
-            assert told is not None
-            return told.speed
-
-        assert await speed("faster") == 2.0
-        assert await speed("slower", "slower") == 0.5
-        assert await speed(*["slower"] * 5) == 0.1
-        assert await speed("speed 80", "faster") == 100.0
-        assert await speed("speed 3") == 3.0
-
-
 async def test_that_its_place_moves_does_not_tell_the_state_more_often(path: Path) -> None:
     async with station(f"replay://{path}") as (_, client):
         told = set[float]()

@@ -38,7 +38,6 @@ from m100link.flight.mission_state import MissionKind, MissionState
 from m100link.flight.missions.hotpoint import CircleHeading, CircleStart, HotpointFlight
 from m100link.flight.missions.waypoint import WaypointFlight
 from m100link.link.statistics import LinkStatistics, RoundTrips
-from m100link.link.url import FASTEST, SLOWEST
 from m100link.missions.plan import Waypoint, WaypointPlan
 from m100link.protocol.codes import ActivationCode
 from m100link.protocol.commands.control import Task
@@ -661,8 +660,6 @@ async def test_each_change_of_the_state_is_told_at_once_and_once(name: str) -> N
         ("pause", [call.pause()]),
         ("resume", [call.resume()]),
         ("toggle", [call.pause()]),
-        ("faster", [call.set_speed(8.0)]),
-        ("slower", [call.set_speed(2.0)]),
         ("speed 2.5", [call.set_speed(2.5)]),
         ("speed max", [call.set_speed(math.inf)]),
         ("seek 30", [call.seek(30.0)]),
@@ -677,22 +674,14 @@ async def test_an_order_to_a_replay_moves_it(order: str, expected: list[Any]) ->
     assert player.mock_calls == expected
 
 
-async def test_a_replay_at_its_end_begins_again_and_has_a_fastest_and_a_slowest() -> None:
-    player: Any = MagicMock(is_at_end=True, is_paused=False, speed=FASTEST, position_s=100.0)
+async def test_a_replay_at_its_end_begins_again() -> None:
+    player: Any = MagicMock(is_at_end=True, is_paused=False, position_s=100.0)
     replays = object.__new__(Replays)
     replays._player = player
     await replays.order("toggle")
-    await replays.order("faster")
-    player.is_at_end, player.is_paused, player.speed = False, True, SLOWEST
+    player.is_at_end, player.is_paused = False, True
     await replays.order("toggle")
-    await replays.order("slower")
-    assert player.mock_calls == [
-        call.seek(0.0),
-        call.resume(),
-        call.set_speed(FASTEST),
-        call.resume(),
-        call.set_speed(SLOWEST),
-    ]
+    assert player.mock_calls == [call.seek(0.0), call.resume(), call.resume()]
     for wrong in ("seek", "seek x", "by nan", "speed inf", "somewhere 3", ""):
         with pytest.raises(UsageError):
             await replays.order(wrong)
