@@ -32,7 +32,6 @@ from m100link.apps.agent.messages import RemoteError, Steer
 from m100link.apps.bus.network import QueryAnswer
 from m100link.apps.cli.decode import _from_hex
 from m100link.apps.cli.fleet import borrowed
-from m100link.apps.cli.telemetry import _plot_file
 from m100link.apps.doctor.line import hear
 from m100link.apps.doctor.machine import Machine
 from m100link.apps.fleet.asking import believed, clocks_of
@@ -135,7 +134,6 @@ __all__ = [
     "place",
     "read_cdr",
     "read_lease_file",
-    "read_plot",
     "read_show",
     "read_signatures",
     "revoked",
@@ -658,12 +656,6 @@ def machine(data: bytes) -> None:
     one.modem_manager()
     one.is_kernel_console("/dev/null")
     one.login_programs("/dev/null")
-
-
-def read_plot(data: bytes) -> None:
-    """A file of columns to be plotted."""
-    with patch("m100link.apps.cli.telemetry._draw"):
-        of_file(lambda path: _plot_file(path, ("height",)))(data)
 
 
 def hex_lines(data: bytes) -> None:

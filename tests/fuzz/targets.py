@@ -459,9 +459,6 @@ TARGETS: dict[str, Target] = {
     "gate": Target(files.gate, lambda: _REQUESTS, tokens=(b"token=", b"code=", b"\nhost: ")),
     "simulator's socket": Target(files.sim_orders, lambda: _ORDERS, share=2),
     "machine": Target(files.machine, lambda: [b"python\0-m\0m100link\0", b"ttyS0 -W- (EC p)\n"]),
-    "plot": Target(
-        files.read_plot, lambda: [b"received_at,height\n1.0,2.0\n1.1,2.1\n"], (UsageError,)
-    ),
     "line in a log": Target(files.witnessed, _streams, share=50),
     "hex": Target(
         files.hex_lines,

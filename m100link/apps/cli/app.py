@@ -61,7 +61,7 @@ _ROWS = {
         ("info", "connection", "sim://", "/dev/ttyUSB0 --duration 5"),
         ("monitor|hz", "telemetry", "sim:// --duration 5", "lab-m100"),
         ("echo", "telemetry", "sim:// position --packages 3", "lab-m100 attitude --csv --rate 5"),
-        ("plot", "telemetry", "sim:// position.height_m", "flight.csv attitude.yaw_deg"),
+        ("plot", "telemetry", "sim:// position.height_m", "/dev/ttyUSB0 attitude.yaw_deg"),
         ("rates", "flight", "sim://?firmware=3.1", "lab-m100 attitude=50 battery=1"),
         ("link", "connection", "sim:// --duration 2", "/dev/ttyUSB0 --rate 20"),
     ),

@@ -6,13 +6,11 @@ import asyncio
 import contextlib
 import math
 import sys
-from csv import DictReader, DictWriter
+from csv import DictWriter
 from difflib import get_close_matches
 from functools import partial
-from pathlib import Path
 from typing import Annotated, Any
 
-from cyclopts import Parameter
 from rich.live import Live
 from rich.table import Table
 from rich.text import Text
@@ -25,15 +23,12 @@ from m100link.apps.cli.common import (
     Url,
     err,
     out,
-    places,
-    run_async,
     until,
 )
 from m100link.apps.cli.display import Items, items_named, line_plot, row
 from m100link.apps.cli.options import Above0, AtMost, Counted, Duration, offered
 from m100link.apps.cli.terminal import ExitCode, OutputFormat, as_json, print_json, tell
 from m100link.errors import UsageError
-from m100link.errors.usage import unread
 from m100link.protocol.items import BY_RECORD
 from m100link.protocol.records import (
     Acceleration,
@@ -225,33 +220,27 @@ def _number(value: float | None, factor: float, digits: int) -> str:
     return "" if value is None else f"{value * factor:.{digits}f}"
 
 
-def plot(
-    source: Annotated[
-        str | None,
-        Parameter(help="A URL, or a CSV file of `m100link echo --csv`."),
-        offered(places),
-    ] = None,
+async def plot(
+    url: Url = None,
     /,
     *fields: Annotated[str, offered(columns_of(BY_RECORD))],
     link: LinkOptions = BY_LINK,
     duration: Duration = 10.0,
 ) -> int:
-    """Plot telemetry columns over time, live or from a CSV file.
+    """Plot telemetry columns over time, live. `log plot` draws a recorded flight.
 
     Args:
         fields: Columns; position.height_m by default.
     """
-    if source is not None and column_named(source):
-        fields, source = (source, *fields), None
+    if url is not None and column_named(url):
+        fields, url = (url, *fields), None
     wanted = []
     for field in fields or ("position.height_m",):
         column = column_named(field)
         if column is None:
             raise _unknown_column(field)
         wanted.append(column)
-    if source is not None and source.endswith(".csv"):
-        return _plot_file(Path(source), tuple(wanted))
-    return run_async(_plot_live(link.place(source), tuple(wanted), duration))
+    return await _plot_live(link.place(url), tuple(wanted), duration)
 
 
 def _unknown_column(field: str) -> UsageError:
@@ -268,28 +257,6 @@ def _unknown_column(field: str) -> UsageError:
     return UsageError(
         f"no column is called {field!r}", remedy=f"{meant}columns: {', '.join(known)}"
     )
-
-
-def _plot_file(path: Path, fields: tuple[str, ...]) -> int:
-    points: dict[str, list[tuple[float, float]]] = {field: [] for field in fields}
-    lines = 1
-    try:
-        with path.open(newline="", encoding="utf-8") as file:
-            for values in DictReader(file):
-                lines += 1
-                for field in fields:
-                    if values.get(field):
-                        points[field].append((float(values["received_at"]), float(values[field])))
-    except OSError as error:
-        raise unread(path, error) from error
-    except (KeyError, ValueError) as error:
-        raise UsageError(
-            f"{path} cannot be plotted, line {lines}: {error}",
-            cause="`m100link echo --csv` did not write it, or the column has no numbers",
-            remedy="name a file of `m100link echo --csv`, and a column of numbers",
-        ) from error
-    _draw(points)
-    return ExitCode.OK if any(points.values()) else ExitCode.FAILED
 
 
 async def _plot_live(place: ConnectionOptions, fields: tuple[str, ...], duration: float) -> int:

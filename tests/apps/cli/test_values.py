@@ -1124,47 +1124,13 @@ async def test_without_a_terminal_nobody_agrees(
         ("xyzzy", "no column is called 'xyzzy'", "columns: "),
     ],
 )
-def test_a_column_that_there_is_not_is_named_with_those_that_are(
+async def test_a_column_that_there_is_not_is_named_with_those_that_are(
     field: str, seen: str, remedy: str
 ) -> None:
     with pytest.raises(UsageError) as caught:
-        telemetry.plot("here.csv", field)
+        await telemetry.plot("sim://", field)
     assert caught.value.seen == seen
     assert remedy in caught.value.remedy
-
-
-@pytest.mark.parametrize(
-    ("text", "status", "told"),
-    [
-        ("received_at,battery.percent\n1.0,80\n2.0,\n3.0,70\n", ExitCode.OK, ""),
-        ("received_at,battery.percent\n1.0,\n", ExitCode.FAILED, "  nothing received"),
-        ("received_at,battery.percent\n1.0,80\nx,70\n", None, "line 3: could not convert"),
-        ("battery.percent\n80\n", None, "line 2: 'received_at'"),
-        (None, None, "No such file"),
-    ],
-)
-def test_a_file_is_plotted_or_its_line_is_named(
-    said: Any,
-    tmp_path: Path,
-    text: str | None,
-    status: Any,
-    told: str,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(OutputFormat, "json", False)
-    path = tmp_path / "flight.csv"
-    if text is not None:
-        path.write_text(text)
-    if status is None:
-        with pytest.raises(UsageError, match=told):
-            telemetry.plot(str(path), "battery.percent")
-        return
-    assert telemetry.plot(str(path), "battery.percent") == status
-    assert said()[0] == "battery.percent"
-    if told:
-        assert said()[1:] == [told]
-    else:
-        assert [any(label in line for line in said()) for label in ("80", "70")] == [True, True]
 
 
 @pytest.mark.parametrize(
