@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import io
-import time
+import threading
 from collections.abc import Iterable, Iterator, Sequence
 from difflib import get_close_matches
 from enum import Enum
@@ -157,7 +156,7 @@ def status(*flights: FlightLog) -> int:
 
 
 @contextlib.contextmanager
-def reading(file: Path, *, passes: int = 1) -> Iterator[FlightLog]:
+def reading(file: Path) -> Iterator[FlightLog]:
     """A log; a terminal shows how far it is read. Raises as :func:`m100link.log.read`."""
     flight = read(file)
     if not err.is_terminal:
@@ -165,54 +164,26 @@ def reading(file: Path, *, passes: int = 1) -> Iterator[FlightLog]:
         return
     words = TextColumn("reading [progress.percentage]{task.percentage:>3.0f} %")
     bar = Progress(words, BarColumn(), TimeRemainingColumn(), console=err, transient=True)
+    late = threading.Timer(_PATIENCE_S, bar.start)
+    late.start()
     try:
-        yield _Watched(flight.path, bar, passes)
+        yield _Watched(flight.path, bar)
     finally:
+        late.cancel()
+        late.join()
         bar.stop()
 
 
 class _Watched(FlightLog):
-    """A log that shows how far its file is read."""
+    """A log that shows how far its file is read, each time that it is read."""
 
-    def __init__(self, path: Path, bar: Progress, passes: int) -> None:
+    def __init__(self, path: Path, bar: Progress) -> None:
         super().__init__(path)
-        self._bar = bar
-        self._began = time.monotonic()
-        self._size = max(1, path.stat().st_size)
-        self._task = bar.add_task("", total=passes * self._size)
-        self._done = 0  # bytes of passes that came to their end
+        self._bar, self._task = bar, bar.add_task("")
 
     def _open(self) -> IO[bytes]:
-        return _Shown(self.path, self)
-
-    def show(self, position: int) -> None:
-        """So many bytes of this pass are read."""
-        if time.monotonic() - self._began > _PATIENCE_S:
-            self._bar.start()
-            self._bar.update(self._task, completed=self._done + min(position, self._size))
-
-    def end(self, position: int) -> None:
-        """A pass is over, perhaps before the end."""
-        if position >= self._size:
-            self._done += self._size
-
-
-class _Shown(io.BufferedReader):
-    def __init__(self, path: Path, watched: _Watched) -> None:
-        super().__init__(io.FileIO(path))
-        self._watched = watched
-        self._farthest = 0
-
-    def read(self, size: int | None = -1, /) -> bytes:
-        data = super().read(size)
-        self._farthest = max(self._farthest, self.tell())
-        self._watched.show(self._farthest)
-        return data
-
-    def close(self) -> None:
-        if not self.closed:
-            self._watched.end(self._farthest)
-        super().close()
+        self._bar.reset(self._task)
+        return self._bar.open(self.path, "rb", task_id=self._task)
 
 
 # -- telemetry records as flat rows of named numbers, for JSON, CSV and plots ----------------------

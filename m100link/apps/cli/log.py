@@ -62,7 +62,7 @@ def ros2(file: Log, /, *, output: Output = None, firmware: AsFlown = None) -> in
     By default its name is FILE with ``-ros2`` before the suffix.
     """
     target = output or file.with_stem(f"{file.stem}-ros2")
-    with reading(file, passes=2) as flight, new_file(target) as stream:
+    with reading(file) as flight, new_file(target) as stream:
         count = write_bag(flight, stream, firmware=firmware)
     tell({"messages": count, "file": str(target)}, f"{count} messages in {target}")
     return status(flight)
@@ -213,7 +213,7 @@ def compare_files(first: Log, second: Log, /) -> int:
     """
     flights, stories = [], []
     for file in (first, second):
-        with reading(file, passes=2) as flight:
+        with reading(file) as flight:
             flights.append(flight)
             stories.append(read_story(flight))
     found = compare(*stories)
@@ -270,7 +270,7 @@ def plot(file: Log, /, *, output: Output = None, firmware: AsFlown = None) -> in
         )
     if os.path.exists(target):
         raise _is_there(target)
-    with reading(file, passes=2) as flight:
+    with reading(file) as flight:
         story = read_story(flight, firmware=firmware)
     write_new(target, _drawn(story, target))
     tell({"file": str(target)}, f"drawn into {target}")
@@ -399,7 +399,7 @@ def info(file: Log, /, *, firmware: AsFlown = None) -> int:
 
     The exit status is 0 whatever happened on the flight, and 1 for a damaged file.
     """
-    with reading(file, passes=4) as flight:
+    with reading(file) as flight:
         summary, story = flight.summary(), read_story(flight, firmware=firmware)
     if as_json():
         spans = {name: [one._asdict() for one in getattr(story, name)] for name in _SPANS}
@@ -444,7 +444,7 @@ def report_file(file: Log, /, *, firmware: AsFlown = None) -> int:
     Names of clients are in logs of `serve`, `console`, `mavlink`, `ros2` and fleets. The last line
     has the quality of the line.
     """
-    with reading(file, passes=4) as flight:
+    with reading(file) as flight:
         story = read_story(flight, firmware=firmware)
         said = report(flight, story, firmware=firmware)
     shown_at = -1.0
@@ -483,7 +483,7 @@ def share_file(file: Log, /, *, output: Output = None, firmware: AsFlown = None)
     heights and its times stay, and the magnetic field as it was measured.
     """
     target = output or file.with_stem(f"{file.stem}-shared")
-    with reading(file, passes=4) as flight, new_file(target) as stream:
+    with reading(file) as flight, new_file(target) as stream:
         removed = share(flight, stream, firmware=firmware)
     streams = "bytes sent, and those received but telemetry", "all"
     lines = [f"  {count:>8}  {what}" for what, count in [*sorted(removed.items()), streams]]

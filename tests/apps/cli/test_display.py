@@ -6,10 +6,10 @@ import io
 import math
 from collections.abc import Callable
 from pathlib import Path
-from unittest.mock import MagicMock
 
 import pytest
 from rich.console import Console
+from rich.progress import Progress
 
 from m100link.apps.cli import display as progress
 from m100link.apps.cli.display import items_named, line_plot, row, track_plot
@@ -161,15 +161,14 @@ def test_one_that_was_cut_off_is_read_without_an_end(
     assert "reading" in shown(flight, monkeypatch, terminal=True)[1]
 
 
-def test_each_pass_to_the_end_counts_and_one_that_was_broken_off_does_not(
-    flight: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(progress, "_PATIENCE_S", -1.0)
-    bar, size = MagicMock(), flight.stat().st_size
-    watched = progress._Watched(flight, bar, 3)
-    for ends_at in (size, size - 1, size):
-        watched.show(ends_at)
-        watched.end(ends_at)
-    done = [call.kwargs["completed"] for call in bar.update.call_args_list]
-    assert done == [size, 2 * size - 1, 2 * size]
-    assert bar.add_task.call_args.kwargs == {"total": 3 * size}
+def test_each_reading_of_a_file_is_shown_from_its_beginning(flight: Path) -> None:
+    bar, size = Progress(console=Console(file=io.StringIO(), force_terminal=True)), 0
+    log = progress._Watched(flight, bar)
+    for _ in range(2):
+        for _message in log.messages():
+            break
+        assert sum(1 for _ in log.messages()) > 10
+        [task] = bar.tasks
+        size = flight.stat().st_size
+        assert 0.9 * size < task.completed <= size
+        assert task.total == size
