@@ -67,7 +67,7 @@ def test_a_virtual_aircraft_gets_the_firmware_that_was_asked_for(cli: CommandLin
         (("plot", "position.height_m", "--duration", "0.5"), "position.height_m"),
         (("plot", "--duration", "0.5"), "position.height_m"),
         (("takeoff",), '"done": "take off"'),
-        (("release",), "released"),
+        (("release",), '"done": "release"'),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, tuple) else "",
 )
