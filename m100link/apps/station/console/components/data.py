@@ -23,13 +23,11 @@ from m100link.apps.station.console.view.data import (
     FLIGHT,
     LEVELS,
     LINK_ITEMS,
-    MIME,
     MOST,
     MOST_OF_WHOLE,
     RANGES,
     WHOLE,
     EventLine,
-    Format,
     chart,
     export,
     height,
@@ -352,9 +350,7 @@ class EventsPart:
                 words.on_value_change(lambda event: self._choose(words=str(event.value or "")))
                 wording.put(attribute(words, "label"), "events.words")
             with ui.element("div").classes("acts"):
-                for how in Format:
-                    props, save = f"data-save={how.value}", partial(self._save, how)
-                    wording.button("events.export", props, save, how=how.value.upper())
+                wording.button("events.export", "data-save=csv", self._save, how="CSV")
             self._count = ui.label().props("id=event-count role=status").classes("note-plain")
             self._list = ui.element("div").classes("events w-full")
             self._list.props("id=events role=log tabindex=0 aria-live=off")
@@ -369,11 +365,11 @@ class EventsPart:
         speaker = self._page.wording.settings.speaker
         return select(lines, speaker, least=self._least, words=self._words)
 
-    def _save(self, how: Format) -> None:
+    def _save(self) -> None:
         lines = self._selected(tuple(self._page.memory.diary.lines))
         wording = self._page.wording
-        text = export(lines, how, wording.settings.speaker, wording.utc_offset_min)
-        ui.download.content(text, f"m100link-events.{how.value}", MIME[how])
+        text = export(lines, wording.settings.speaker, wording.utc_offset_min)
+        ui.download.content(text, "m100link-events.csv", "text/csv")
 
     def update(self, view: ViewModel) -> None:
         wording = self._page.wording

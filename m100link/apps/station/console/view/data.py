@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import math
 from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta, timezone
-from enum import Enum
 from typing import Any
 
 from m100link.apps.agent.messages import Event
@@ -326,18 +324,6 @@ FLIGHT = "flight"
 """The source of the events of a recorded flight."""
 
 
-class Format(Enum):
-    """How the list is written down; the value is the ending of the file's name."""
-
-    TEXT = "txt"
-    JSON = "json"
-    CSV = "csv"
-
-
-MIME = {Format.TEXT: "text/plain", Format.JSON: "application/json", Format.CSV: "text/csv"}
-"""The media type of each."""
-
-
 @dataclass(frozen=True, slots=True)
 class EventLine:
     number: int  # counts the lines of this page from 1
@@ -420,29 +406,14 @@ def select(
     ]
 
 
-def export(
-    lines: Iterable[EventLine], how: Format, speaker: Translator, utc_offset_min: int = 0
-) -> str:
-    """The lines as a file; times are those of the operator's clock, with their zone."""
-    rows = [
-        (line.time(utc_offset_min).isoformat(timespec="milliseconds"), line, line.said(speaker))
-        for line in lines
-    ]
-    if how is Format.JSON:
-        return json.dumps(
-            [
-                {"time": time, "level": line.level, "source": line.source, "text": text}
-                for time, line, text in rows
-            ],
-            ensure_ascii=False,
-            indent=1,
-        )
-    if how is Format.TEXT:
-        return "".join(f"{time}  {line.level:7}  {text}\n" for time, line, text in rows)
+def export(lines: Iterable[EventLine], speaker: Translator, utc_offset_min: int = 0) -> str:
+    """The lines as CSV; times are those of the operator's clock, with their zone."""
     written = io.StringIO()
     table = csv.writer(written)
     table.writerow(("time", "level", "source", "text"))
-    table.writerows((time, line.level, line.source, _harmless(text)) for time, line, text in rows)
+    for line in lines:
+        time = line.time(utc_offset_min).isoformat(timespec="milliseconds")
+        table.writerow((time, line.level, line.source, _harmless(line.said(speaker))))
     return written.getvalue()
 
 
