@@ -24,6 +24,7 @@ import json
 import math
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from enum import IntEnum
 from typing import Any, NamedTuple
 
 from m100link.errors import BadPlan
@@ -51,57 +52,80 @@ from m100link.missions.waypoint import (
 _FILE_VERSION, _MISSION_VERSION = 1, 2
 _PARAMETERS = 7
 
-# MAVLink's names of items in files of ground stations.
-_NAMES = {
-    16: "NAV_WAYPOINT",
-    17: "NAV_LOITER_UNLIM",
-    18: "NAV_LOITER_TURNS",
-    19: "NAV_LOITER_TIME",
-    20: "NAV_RETURN_TO_LAUNCH",
-    21: "NAV_LAND",
-    22: "NAV_TAKEOFF",
-    82: "NAV_SPLINE_WAYPOINT",
-    84: "NAV_VTOL_TAKEOFF",
-    85: "NAV_VTOL_LAND",
-    93: "NAV_DELAY",
-    112: "CONDITION_DELAY",
-    113: "CONDITION_CHANGE_ALT",
-    114: "CONDITION_DISTANCE",
-    115: "CONDITION_YAW",
-    177: "DO_JUMP",
-    178: "DO_CHANGE_SPEED",
-    179: "DO_SET_HOME",
-    181: "DO_SET_RELAY",
-    182: "DO_REPEAT_RELAY",
-    183: "DO_SET_SERVO",
-    184: "DO_REPEAT_SERVO",
-    187: "DO_SET_ACTUATOR",
-    189: "DO_LAND_START",
-    195: "DO_SET_ROI_LOCATION",
-    196: "DO_SET_ROI_WPNEXT_OFFSET",
-    197: "DO_SET_ROI_NONE",
-    200: "DO_CONTROL_VIDEO",
-    201: "DO_SET_ROI",
-    202: "DO_DIGICAM_CONFIGURE",
-    203: "DO_DIGICAM_CONTROL",
-    204: "DO_MOUNT_CONFIGURE",
-    205: "DO_MOUNT_CONTROL",
-    206: "DO_SET_CAM_TRIGG_DIST",
-    207: "DO_FENCE_ENABLE",
-    211: "DO_GRIPPER",
-    214: "DO_SET_CAM_TRIGG_INTERVAL",
-    530: "SET_CAMERA_MODE",
-    531: "SET_CAMERA_ZOOM",
-    532: "SET_CAMERA_FOCUS",
-    1000: "DO_GIMBAL_MANAGER_PITCHYAW",
-    1001: "DO_GIMBAL_MANAGER_CONFIGURE",
-    2000: "IMAGE_START_CAPTURE",
-    2001: "IMAGE_STOP_CAPTURE",
-    2003: "DO_TRIGGER_CONTROL",
-    2500: "VIDEO_START_CAPTURE",
-    2501: "VIDEO_STOP_CAPTURE",
-    3000: "DO_VTOL_TRANSITION",
-}
+
+class MavCommand(IntEnum):
+    """MAV_CMD by its names: items in files of ground stations, and what the bridge answers."""
+
+    NAV_WAYPOINT = 16
+    NAV_LOITER_UNLIM = 17
+    NAV_LOITER_TURNS = 18
+    NAV_LOITER_TIME = 19
+    NAV_RETURN_TO_LAUNCH = 20
+    NAV_LAND = 21
+    NAV_TAKEOFF = 22
+    DO_ORBIT = 34
+    NAV_SPLINE_WAYPOINT = 82
+    NAV_VTOL_TAKEOFF = 84
+    NAV_VTOL_LAND = 85
+    NAV_DELAY = 93
+    CONDITION_DELAY = 112
+    CONDITION_CHANGE_ALT = 113
+    CONDITION_DISTANCE = 114
+    CONDITION_YAW = 115
+    DO_SET_MODE = 176
+    DO_JUMP = 177
+    DO_CHANGE_SPEED = 178
+    DO_SET_HOME = 179
+    DO_SET_RELAY = 181
+    DO_REPEAT_RELAY = 182
+    DO_SET_SERVO = 183
+    DO_REPEAT_SERVO = 184
+    DO_SET_ACTUATOR = 187
+    DO_LAND_START = 189
+    DO_REPOSITION = 192
+    DO_PAUSE_CONTINUE = 193
+    DO_SET_ROI_LOCATION = 195
+    DO_SET_ROI_WPNEXT_OFFSET = 196
+    DO_SET_ROI_NONE = 197
+    DO_CONTROL_VIDEO = 200
+    DO_SET_ROI = 201
+    DO_DIGICAM_CONFIGURE = 202
+    DO_DIGICAM_CONTROL = 203
+    DO_MOUNT_CONFIGURE = 204
+    DO_MOUNT_CONTROL = 205
+    DO_SET_CAM_TRIGG_DIST = 206
+    DO_FENCE_ENABLE = 207
+    DO_GRIPPER = 211
+    DO_SET_CAM_TRIGG_INTERVAL = 214
+    DO_SET_MISSION_CURRENT = 224
+    DO_SET_STANDARD_MODE = 262
+    MISSION_START = 300
+    COMPONENT_ARM_DISARM = 400
+    GET_HOME_POSITION = 410
+    GET_MESSAGE_INTERVAL = 510
+    SET_MESSAGE_INTERVAL = 511
+    REQUEST_MESSAGE = 512
+    REQUEST_AUTOPILOT_CAPABILITIES = 520
+    REQUEST_CAMERA_INFORMATION = 521
+    REQUEST_CAMERA_SETTINGS = 522
+    REQUEST_STORAGE_INFORMATION = 525
+    REQUEST_CAMERA_CAPTURE_STATUS = 527
+    SET_CAMERA_MODE = 530
+    SET_CAMERA_ZOOM = 531
+    SET_CAMERA_FOCUS = 532
+    DO_GIMBAL_MANAGER_PITCHYAW = 1000
+    DO_GIMBAL_MANAGER_CONFIGURE = 1001
+    IMAGE_START_CAPTURE = 2000
+    IMAGE_STOP_CAPTURE = 2001
+    DO_TRIGGER_CONTROL = 2003
+    VIDEO_START_CAPTURE = 2500
+    VIDEO_STOP_CAPTURE = 2501
+    DO_VTOL_TRANSITION = 3000
+    NAV_FENCE_RETURN_POINT = 5000
+    NAV_FENCE_POLYGON_VERTEX_INCLUSION = 5001
+    NAV_FENCE_POLYGON_VERTEX_EXCLUSION = 5002
+    NAV_FENCE_CIRCLE_INCLUSION = 5003
+    NAV_FENCE_CIRCLE_EXCLUSION = 5004
 
 
 class QgcItem(NamedTuple):
@@ -129,8 +153,8 @@ class QgcItem(NamedTuple):
 
 def command_name(command: int) -> str:
     """The name of a command in MAVLink, and its number; the number alone of others."""
-    name = _NAMES.get(command)
-    return f"{name} ({command})" if name else f"command {command}"
+    known = command in MavCommand.__members__.values()
+    return f"{MavCommand(command).name} ({command})" if known else f"command {command}"
 
 
 def bad(field_name: str, seen: str, value: object, remedy: str = "") -> BadPlan:
