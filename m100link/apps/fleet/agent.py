@@ -213,7 +213,7 @@ class FleetAgent:
             if self.client.now >= deadline:
                 raise UsageError(
                     f"another agent is named {self._keys.name}",
-                    remedy="give this aircraft another --name, or end the other agent",
+                    remedy="give this aircraft another name, or end the other agent",
                 )
             await asyncio.sleep(0.2)
 
@@ -576,5 +576,5 @@ class DuplicateNames:
             raise UsageError(
                 f"two agents are named {self._name}: neither moves its aircraft",
                 cause="they began behind different routers, which were linked later",
-                remedy="end one of them and give its aircraft another --name; both stop and land",
+                remedy="end one of them, and rename its aircraft; both still obey stop and land",
             )
