@@ -314,7 +314,7 @@ class Aircraft:
         Movement is not among them: it leaves through a control block alone.
 
         Raises:
-            UsageError: Not such a command, or the firmware is unknown.
+            UsageError, CommandNotSupported: Not a push; unknown firmware, or one that lacks it.
             LinkError: The line is gone.
         """
         if not isinstance(command, Push):
@@ -388,7 +388,7 @@ class Aircraft:
             CommandNotSupported, NotActivated, GuardianFailed: Nothing was sent.
             AuthorityRefused: The pilot's mode switch is not seen in F.
             UsageError: A control block of this program is running; the firmware is unknown.
-            NotObserved: Telemetry does not show that it is on.
+            NotObserved, TelemetryStalled, LinkError: Telemetry does not show it on; the line ended.
         """
         with of_the_system("virtual RC"):
             from m100link.flight.virtual_rc import VirtualRc

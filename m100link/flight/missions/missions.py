@@ -188,7 +188,7 @@ class Missions:
         Raises:
             MissionRefused: With the aircraft's reason.
             NotObserved: It took the stop, and reports that the mission flies on.
-            NoAuthority, AckTimeout, LinkError: See each class.
+            NoAuthority, CommandNotSupported, AckTimeout, LinkError: See each class.
         """
         self._context.block.require_flying("the stop of a mission")
         with self._context.block.waiting("stop_mission"):
@@ -197,14 +197,14 @@ class Missions:
     async def pause_mission(self) -> MissionKind:
         """Pause any mission that flies, also somebody else's: done when it is seen to hover.
 
-        Raises as :meth:`stop_mission`; ``NotObserved``: it took the pause, and flies on.
+        Raises as :meth:`stop_mission`; ``UsageError``: none flies; ``NotObserved``: it flies on.
         """
         self._context.block.require_flying("the pause of a mission")
         with self._context.block.waiting("pause_mission"):
             return await self._guard.order_any("pause")
 
     async def resume_mission(self) -> MissionKind:
-        """Let it go on. Raises as :meth:`stop_mission`."""
+        """Let it go on. Raises as :meth:`stop_mission`; ``UsageError``: none flies."""
         self._context.block.require_flying("the resumption of a mission")
         with self._context.block.waiting("resume_mission"):
             return await self._guard.order_any("resumption")
@@ -216,7 +216,7 @@ class Missions:
         :meth:`m100link.MissionFlight.detach`.
 
         Raises:
-            UsageError: No mission flies, as far as the aircraft tells.
+            UsageError, NoAuthority: No mission flies as far as it tells, or authority is not held.
         """
         self._context.block.require_flying("detaching a mission")
         return self._guard.detach_any()
