@@ -28,9 +28,7 @@ from m100link.apps.bus.network import Bus
 from m100link.apps.fleet.agent import FleetAgent, Verify
 from m100link.apps.fleet.carrier import FleetChannel
 from m100link.apps.fleet.client import Fleet, open_fleet
-from m100link.apps.fleet.identity import (
-    nobody,
-)
+from m100link.apps.fleet.identity import nobody
 from m100link.apps.fleet.keys import DEFAULT_SITE, Keys, check_name, in_order
 from m100link.apps.fleet.logs.service import RATE, LogService
 from m100link.apps.fleet.lost_link import LostLinkPlan
@@ -48,13 +46,7 @@ from m100link.apps.station.listeners import (
     serving_fronts,
 )
 from m100link.apps.station.run import owning
-from m100link.errors import (
-    LinkError,
-    M100Error,
-    OutOfResources,
-    Unreachable,
-    UsageError,
-)
+from m100link.errors import LinkError, M100Error, OutOfResources, Unreachable, UsageError
 from m100link.log.folder import state_folder
 
 # -- agents of a fleet, in one process -------------------------------------------------------------
@@ -99,6 +91,7 @@ async def serving_fleet(
     aircraft: Mapping[str, Settings],
     fleet: FleetSettings,
     tell: Callable[[str, Event], None],  # called with the name and each event
+    place: int = 0,  # of the first virtual aircraft in a row of several
 ) -> AsyncIterator[dict[str, FleetAgent]]:
     """Own aircraft and be part of a fleet while the block runs.
 
@@ -117,8 +110,8 @@ async def serving_fleet(
             )
         )
         agents = {}
-        for place, (name, settings) in enumerate(aircraft.items()):
-            agents[name] = await _agent(stack, settings, place, keys[name], bus, fleet)
+        for number, (name, settings) in enumerate(aircraft.items(), place):
+            agents[name] = await _agent(stack, settings, number, keys[name], bus, fleet)
             await agents[name].require_alone()
             for event in agents[name].client.events:
                 tell(name, event)

@@ -131,7 +131,8 @@ async def running_part(
     rights = Rights.read(path)
     if settings is not None:
         fleet = agent_of(rights, name, is_real=is_real)
-        async with serving_fleet({name: settings}, fleet, tell):
+        place = rights.aircraft.index(name)
+        async with serving_fleet({name: settings}, fleet, tell, place):
             yield {"agent": name}
     elif name in rights.routers:
         async with routing(rights, name):
