@@ -2,8 +2,6 @@
 
 python examples/mavlink/square.py                           # with a virtual aircraft of its own
 python examples/mavlink/square.py udp://127.0.0.1:14550     # m100link mavlink URL --listen there
-
-The same by MAVSDK: square_by_mavsdk.py.
 """
 
 import contextlib

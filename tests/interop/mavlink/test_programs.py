@@ -19,6 +19,8 @@ from typing import Any
 
 import pytest
 
+from tests.tutorials import Reader
+
 HERE = Path(__file__).parent
 FIRMWARES = ["1.0", "2.3", "3.1"]
 KEY = bytes(range(32)).hex()
@@ -187,12 +189,10 @@ def test_the_example_that_needs_no_library_flies_a_square(firmware: str) -> None
 
 
 @pytest.mark.skipif(GRPC == "mavsdk", reason="it is written for mavsdk-grpc")
-def test_the_example_by_mavsdk_flies_a_square() -> None:
-    with site("1.0") as found:
-        told = run(str(EXAMPLES / "square_by_mavsdk.py"), f"udpin://127.0.0.1:{found.port}")
-        assert told.count("corner") == 4
-        assert "landed" in told
-        found.until(lambda: found.truth()["flight_status"] == "standby")
+def test_the_tutorial_flies_a_square(tmp_path: Path) -> None:
+    port = str(free_port())
+    bridge = f"mavlink sim:// --listen udp://127.0.0.1:0 --to udp://127.0.0.1:{port}"
+    Reader(tmp_path, {"mavlink sim://": bridge, ":14540": f":{port}"}).follow("mavsdk")
 
 
 # -- pymavlink ------------------------------------------------------------------------------------
@@ -208,6 +208,7 @@ def test_qgroundcontrols_order_is_answered(firmware: str) -> None:
 def of_the_manual() -> list[str]:
     """The programs of the page: offboard, and the lines for camera and gimbal."""
     page = (HERE.parents[2] / "docs/howto/fly-by-mavlink.md").read_text("utf-8")
+    page = page.partition("\n## Fly offboard\n")[2]
     return re.findall(r"^```python\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
 
 
