@@ -22,6 +22,7 @@ import pytest
 
 from tests.interop.ros2 import wheels
 from tests.interop.ros2.test_programs import HERE, KEY, PLACE, Site, child_of, line_of, started
+from tests.tutorials import Reader
 from tests.waiting import PATIENCE
 
 pytestmark = [
@@ -94,6 +95,12 @@ def test_a_program_of_rclpy_checks_and_flies_it(site: RealSite) -> None:
     assert len(lines) >= 30
     assert not site.truth()["motors_on"]
     assert site.truth()["control"] == "rc"
+
+
+def test_the_tutorial_flies_by_rclpy(folder: Path, tmp_path: Path) -> None:
+    alone = {"ROS_DOMAIN_ID": str(Random(time.time_ns()).randrange(100, 200))}
+    python, names = str(folder / "bin" / "python"), wheels.environment(folder)
+    Reader(tmp_path, python=python, environment=names | alone).follow("ros2")
 
 
 def test_the_commander_is_killed(site: RealSite) -> None:
