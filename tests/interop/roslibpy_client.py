@@ -18,7 +18,7 @@ def main(host: str, port: int) -> None:
     statuses: list[Any] = []
 
     def hear_statuses(connection: Any) -> None:
-        """As in examples/rosbridge/fly_by_roslibpy.py."""
+        """As in docs/howto/ground-station.md."""
         connection._message_handlers.pop("status", None)
         connection.register_message_handlers("status", statuses.append)
 

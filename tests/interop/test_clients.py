@@ -6,6 +6,7 @@ import contextlib
 import json
 import math
 import shutil
+import socket
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -14,6 +15,7 @@ from typing import Any
 
 import pytest
 
+from tests.tutorials import Reader
 from tests.waiting import PATIENCE
 
 pytest.importorskip("starlette", reason="the extra `station` is not installed")
@@ -64,6 +66,12 @@ def is_north(quaternion: dict[str, float]) -> bool:
     half = math.sqrt(0.5)
     turn = abs(quaternion["z"]) - half, abs(quaternion["w"]) - half
     return max(abs(value) for value in turn) < 0.05
+
+
+def test_the_tutorial_flies_by_roslibpy(tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as one:
+        port = str(one.getsockname()[1])
+    Reader(tmp_path, {"serve --sim": f"serve --sim --port {port}", "9090": port}).follow("roslibpy")
 
 
 @pytest.mark.smoke
