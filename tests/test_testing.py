@@ -1,4 +1,4 @@
-"""The fixtures of :mod:`m100link.testing`, and the example project that shows them."""
+"""The fixtures of :mod:`m100link.testing`."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable
-from pathlib import Path
 from unittest.mock import MagicMock
 
 import pytest
@@ -19,8 +18,6 @@ from m100link.protocol import Setpoint
 from m100link.sim import LineFaults, VirtualClockEventLoop
 from m100link.testing import ConnectableAircraft, VirtualClock, VirtualPort, VirtualSerialPair
 from tests.waiting import PATIENCE
-
-EXAMPLE = Path(__file__).parent.parent / "examples" / "pytest_project"
 
 
 def test_without_pytest_it_says_what_it_needs() -> None:
@@ -182,20 +179,6 @@ def test_virtual_port_may_be_closed_twice() -> None:
     port = VirtualPort(seed=1)
     port.close()
     port.close()
-
-
-def test_the_example_project_passes_its_own_suite() -> None:
-    ended = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-W", "error"],
-        cwd=EXAMPLE,
-        env={"PYTHONPATH": str(EXAMPLE.parent.parent), "PATH": ""},
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=2 * PATIENCE,
-    )
-    assert ended.returncode == 0, ended.stdout + ended.stderr
-    assert "5 passed" in ended.stdout
 
 
 def test_a_port_that_was_closed_left_no_thread(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,1 +1,0 @@
-pytest_plugins = ["m100link.testing"]
