@@ -16,7 +16,7 @@ from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 PLACE = "m100link/manual"
 COMMIT = "COMMIT"
-PAGES = ("docs/*/*.md", "docs/_ext/*.py", "examples/first_flight.py")  # a page shows the program
+PAGES = ("docs/*/*.md", "docs/_ext/*.py", "examples/look_around.py")  # a page shows the program
 LEFT_OUT = "docs/project/"
 
 

@@ -166,16 +166,6 @@ def test_square_by_velocity(run: Run, url: str) -> None:
     assert float(back) <= 1.0
 
 
-@each_firmware
-def test_position_loop(run: Run, url: str) -> None:
-    out = run("position_loop", url)
-    distances = [float(d) for d in re.findall(r"(\d+\.\d+) m to go", out)]
-    assert distances == sorted(distances, reverse=True)
-    assert distances[0] == pytest.approx(7.2, abs=0.1)
-    [seconds] = re.findall(r"arrived after (\d+) s", out)
-    assert 3 <= int(seconds) <= 15
-
-
 def test_replay_a_flight(run: Run) -> None:
     pytest.importorskip("mcap", reason="the extra `log` is not installed")
     ended, highest, refused = run("replay_a_flight", "sim://").splitlines()

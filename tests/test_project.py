@@ -184,7 +184,7 @@ def test_a_wheel_is_the_same_whatever_is_installed_where_it_is_built(
     for name in ("sphinx", "myst_parser"):
         monkeypatch.setitem(sys.modules, name, None)
     assert packed("wheel") == with_all
-    assert set(with_all) >= release.MANUAL | {"m100link/manual/examples/first_flight.py"}
+    assert set(with_all) >= release.MANUAL | {"m100link/manual/examples/look_around.py"}
     assert packed("sdist") == ["COMMIT"], "a wheel that is built of it is of the same commit"
 
 

@@ -5,11 +5,8 @@ from __future__ import annotations
 import asyncio
 import math
 import random
-import re
 import sys
 import time
-from collections.abc import Coroutine
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -33,12 +30,9 @@ from m100link.errors import UsageError
 from m100link.protocol import encode_telemetry, profile
 from m100link.protocol.items import ITEMS
 from m100link.protocol.packet import telemetry_size
-from m100link.sim import VirtualClockEventLoop
 from m100link.telemetry.columns import columns_of
 from m100link.telemetry.subscription import Hub, Lossless
 from tests.rig import FIRMWARES, rig
-
-RECIPE = Path(__file__).parents[2] / "docs" / "howto" / "arrays.md"
 
 pytestmark = pytest.mark.anyio
 
@@ -226,27 +220,3 @@ def test_an_array_without_numpy_says_what_to_install(monkeypatch: pytest.MonkeyP
     with pytest.raises(UsageError) as caught:
         TABLE.to_numpy()
     assert caught.value.remedy == "pip install numpy"
-
-
-# -- the manual -----------------------------------------------------------------------------------
-
-BLOCKS = re.findall(r"```python\n(.*?)```", RECIPE.read_text(encoding="utf-8"), re.DOTALL)
-
-
-def test_the_recipe_is_there() -> None:
-    assert len(BLOCKS) == 4
-
-
-def run(main: Coroutine[Any, Any, None]) -> None:
-    with asyncio.Runner(loop_factory=VirtualClockEventLoop) as runner:
-        runner.run(main)
-
-
-@pytest.mark.parametrize("number", range(4))
-def test_the_recipe_runs(number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    block = BLOCKS[number]
-    for needed in re.findall(r"^import (numpy|pandas)", block, re.MULTILINE):
-        pytest.importorskip(needed, reason=f"{needed} is not installed, nor needed otherwise")
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(asyncio, "run", run)
-    exec(compile(block, str(RECIPE), "exec"), {"__name__": "__main__"})

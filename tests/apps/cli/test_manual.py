@@ -125,7 +125,7 @@ def test_names_of_the_reference_come_with_what_they_are() -> None:
 
 
 def test_a_program_that_a_page_shows_is_in_it(cli: CommandLine, tmp_path: Path) -> None:
-    assert "async with m100link.connect" in cli("docs", "first-flight").out
+    assert "async with m100link.connect" in cli("docs", "gimbal-and-camera").out
     text = "```{literalinclude} ../../examples/first_flight.py\n:language: python\n```\n"
     assert _plain(text, tmp_path / "docs") == "`../../examples/first_flight.py`\n"
     (tmp_path / "examples").mkdir()
