@@ -294,6 +294,8 @@ def test_errata_are_all_there_and_every_number_in_the_code_exists() -> None:
 def test_code_named_by_the_manual_exists() -> None:
     names = set()
     for page in (ROOT / "docs").rglob("*.md"):
+        if page.name == "move-from-0-2.md":  # tests/test_migration.py has its names
+            continue
         text = page.read_text(encoding="utf-8")
         names |= set(re.findall(r"(?<![\w/])`(m100link(?:\.\w+)+)`", text))
     assert names
