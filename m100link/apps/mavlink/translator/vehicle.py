@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -433,7 +434,7 @@ class MavlinkVehicle:
         return bool(messages)
 
     def _version(self) -> MavlinkMessage:
-        major, minor, patch = (int(part) for part in (__version__.split(".") + ["0"] * 3)[:3])
+        major, minor, patch = map(int, re.findall(r"\d+", __version__)[:3])  # 1.0.0rc1, too
         capabilities = (
             Capability.COMMAND_INT
             | Capability.PARAM_ENCODE_BYTEWISE

@@ -309,10 +309,11 @@ async def test_the_version_has_its_numbers(ground: Ground) -> None:
     assert version["flight_custom_version"][7] < 100
 
 
+@pytest.mark.parametrize("version", ["3.17.203", "3.17.203rc1", "3.17.203.dev4"])
 async def test_a_version_is_read_from_its_last_number_on(
-    ground: Ground, monkeypatch: pytest.MonkeyPatch
+    ground: Ground, monkeypatch: pytest.MonkeyPatch, version: str
 ) -> None:
-    monkeypatch.setattr("m100link.apps.mavlink.translator.vehicle.__version__", "3.17.203")
+    monkeypatch.setattr("m100link.apps.mavlink.translator.vehicle.__version__", version)
     assert await ground.ask(MavCommand.REQUEST_MESSAGE, number("AUTOPILOT_VERSION")) == 0
     assert ground.last("AUTOPILOT_VERSION")["flight_custom_version"] == (0, 0, 0, 0, 0, 203, 17, 3)
 
