@@ -18,6 +18,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 import m100link
 from m100link import errors
@@ -260,6 +262,19 @@ def test_the_lock_has_all_that_is_declared_with_checksums_and_no_address() -> No
     locked = re.findall(r"^([a-z0-9._-]+)==\S+(?: ;[^\n\\]+)? \\\n    --hash=", text, re.MULTILINE)
     assert names <= set(locked)
     assert len(locked) == len(re.findall("^[a-z]", text, re.MULTILINE))
+
+
+def test_an_upper_limit_has_its_reason_and_the_lock_is_within_all() -> None:
+    text = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    project = text[text.index("[project]") : text.index("[project.scripts]")]
+    for line in project.splitlines():
+        assert re.search(r",\s*<\d", line) is None or re.search(r"\S  # \w.{5,}$", line), line
+    lock = (ROOT / "requirements-dev.txt").read_text(encoding="utf-8")
+    locked = dict(re.findall(r"^([a-z0-9._-]+)==([^\s;]+)", lock, re.MULTILINE))
+    extras = PYPROJECT["project"]["optional-dependencies"]
+    asked = [*PYPROJECT["project"]["dependencies"], *(one for e in extras.values() for one in e)]
+    for requirement in map(Requirement, asked):
+        assert locked[canonicalize_name(requirement.name)] in requirement.specifier, requirement
 
 
 def test_public_names_exist_and_are_listed_once() -> None:
