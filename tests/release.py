@@ -1,12 +1,14 @@
 """Makes a release and looks into it: ``nox -s build``, or ``python -m tests.release --to FOLDER``.
 
-The wheel is built twice and must be the same bit by bit. Beside it stands its bill of materials
-(CycloneDX): what an installation with all extras consists of.
+Wheel and source archive are built twice and must be the same bit by bit. Beside them stand the bill
+of materials (CycloneDX), what an installation with all extras consists of in the tested versions,
+and SHA256SUMS, which the signed tag of a release carries.
 """
 
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
 import os
 import re
@@ -63,7 +65,10 @@ def bill_of_materials(wheel: Path) -> list[str]:
     run(sys.executable, "-m", "venv", "--clear", "--without-pip", place)
     python = place / "bin" / "python"
     pip = (sys.executable, "-m", "pip", "--quiet", "--python", python)
-    run(*pip, "install", f"{wheel}[{','.join(extras)}]")
+    lock = (ROOT / "requirements-dev.txt").read_text("utf-8")
+    tested = place / "constraints.txt"  # without checksums, which pip wants of all or of none
+    tested.write_text(re.sub(r" \\$|\n    --hash=\S+", "", lock, flags=re.MULTILINE), "utf-8")
+    run(*pip, "install", "--constraint", tested, f"{wheel}[{','.join(extras)}]")
     bill = wheel.with_suffix(".cdx.json")
     told = ("--output-reproducible", "--output-format", "JSON", "--output-file", bill)
     run(
@@ -94,9 +99,13 @@ def main() -> str | None:
     output = parser.parse_args().to.resolve()
     wheel, archive = built(output)
     with tempfile.TemporaryDirectory() as again:
-        if built(Path(again))[0].read_bytes() != wheel.read_bytes():
-            return "the wheel was another one when it was built again"
+        for first, second in zip((wheel, archive), built(Path(again)), strict=True):
+            if first.read_bytes() != second.read_bytes():
+                return f"{first.name} was another one when it was built again"
     components = bill_of_materials(wheel)
+    made = sorted(output.glob("m100link-*"))
+    sums = [f"{hashlib.sha256(one.read_bytes()).hexdigest()}  {one.name}\n" for one in made]
+    (output / "SHA256SUMS").write_text("".join(sums), encoding="ascii")
     with zipfile.ZipFile(wheel) as packed:
         in_wheel = packed.namelist()
     with tarfile.open(archive) as tarred:

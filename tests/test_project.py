@@ -88,7 +88,7 @@ def test_links_of_the_front_pages_lead_somewhere(page: str) -> None:
 
 def test_what_a_contributor_needs_is_in_the_source_archive() -> None:
     packed = PYPROJECT["tool"]["hatch"]["build"]["targets"]["sdist"]["include"]
-    pages = {f"/{page.name}" for page in ROOT.glob("*.md")} - {"/README.md"}  # always packed
+    pages = {f"/{page.name}" for page in ROOT.glob("*.md")}
     assert pages <= set(packed)
 
 
@@ -167,15 +167,44 @@ def test_what_a_release_lacks_is_reported(
     assert all(word in text for word, text in zip(wrong, told, strict=True))
 
 
-def test_a_wheel_is_the_same_whatever_is_installed_where_it_is_built(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def hatch_build() -> Any:
+    """The module that the build calls."""
     pytest.importorskip("hatchling", reason="only what builds a release has it")
     spec = importlib.util.spec_from_file_location("hatch_build", ROOT / "hatch_build.py")
     assert spec is not None
     assert spec.loader is not None
     hook = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(hook)
+    return hook
+
+
+@pytest.mark.parametrize("source", ["", "https://example.org/m100link"])
+def test_the_readme_of_a_package_has_no_link_into_a_clone(source: str) -> None:
+    metadata: dict[str, Any] = {"version": "1.2.3"} | (
+        {"urls": {"Source": source}} if source else {}
+    )
+    hatch_build().Readme(str(ROOT), {}).update(metadata)
+    text = metadata["readme"]["text"]
+    targets = re.findall(r"\]\(([^)]*)\)", text)
+    assert all("://" in target for target in targets)
+    assert metadata["readme"]["content-type"] == "text/markdown"
+    if source:
+        page = f"{source}/blob/v1.2.3/docs/explanation/safety.md"
+        assert f"[Safety]({page})" in text
+        assert f"[a guardian]({page}#the-guardian)" in text
+        for target in targets:
+            assert (ROOT / target.partition("v1.2.3/")[2].partition("#")[0]).exists(), target
+    else:
+        assert "Safety (`m100link docs safety`)" in text
+        assert "Changelog · Contributing · Security" in text
+        named = set(re.findall(r"m100link docs ([\w-]+)`", text))
+        assert named <= {page.stem for page in (ROOT / "docs").rglob("*.md")}
+
+
+def test_a_wheel_is_the_same_whatever_is_installed_where_it_is_built(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    hook = hatch_build()
 
     def packed(target: str) -> list[str]:
         data: dict[str, Any] = {"force_include": {}}
