@@ -98,7 +98,7 @@ if TYPE_CHECKING:
     from m100link.telemetry.subscription import Latest, Lossless, Newest, Policy, Subscription
     from m100link.wire import Key
 
-__version__ = "0.2.0"
+__version__ = "1.0.0rc1"
 
 __all__ = [
     "PROFILES",

@@ -5,7 +5,7 @@ verbs and options of the command line, codes of errors with their exit status, f
 versions on the wire. ``docs/project/compatibility.md`` says it in words.
 
 ``python -m tests.promised`` writes the file anew after a change, once a new line of CHANGELOG.md
-under *Unreleased* names each thing that changed.
+in its newest section names each thing that changed.
 """
 
 from __future__ import annotations
@@ -242,7 +242,7 @@ def changes(before: Promises, now: Promises) -> list[str]:
 
 def unnamed(before: Promises, now: Promises, log_before: str, log_now: str) -> list[str]:
     """Names that changed and that no new line of the change log has."""
-    lines = set(unreleased(log_now)) - set(unreleased(log_before))
+    lines = set(newest(log_now)) - set(newest(log_before))
     words = set(re.findall(r"[\w-]+", "\n".join(lines)))
     return [
         name
@@ -251,9 +251,10 @@ def unnamed(before: Promises, now: Promises, log_before: str, log_now: str) -> l
     ]
 
 
-def unreleased(log: str) -> list[str]:
-    """The lines under *Unreleased*."""
-    return log.partition("\n## Unreleased\n")[2].partition("\n## ")[0].splitlines()
+def newest(log: str) -> list[str]:
+    """The lines of the newest section: *Unreleased*, or a version that is being prepared."""
+    found = re.search(r"\n## (?:Unreleased|\d.*)\n((?:.*\n)*?)(?=## |\Z)", log)
+    return found[1].splitlines() if found else []
 
 
 def said(name: str, before: str, now: str) -> set[str]:
@@ -279,7 +280,7 @@ def main() -> str | None:
     before, now = read(committed(FILE)), promises()
     log = CHANGES.read_text(encoding="utf-8")
     if before and (missing := unnamed(before, now, committed(CHANGES), log)):
-        return "CHANGELOG.md: no new line under Unreleased names\n  " + "\n  ".join(missing)
+        return "CHANGELOG.md: no new line of its newest section names\n  " + "\n  ".join(missing)
     FILE.write_text(written(now), encoding="utf-8")
     return None
 

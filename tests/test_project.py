@@ -250,7 +250,13 @@ def test_package_is_marked_as_typed() -> None:
 
 
 def test_versions_agree() -> None:
-    assert m100link.__version__ == PYPROJECT["project"]["version"]
+    version = m100link.__version__
+    assert version == PYPROJECT["project"]["version"]
+    assert re.fullmatch(r"\d+\.\d+\.\d+((rc|\.dev)\d+)?", version), "vehicle.py reads three numbers"
+    package = ROOT / "m100link/apps/ros2/m100_msgs/package.xml"  # ROS knows no candidates
+    assert f"<version>{version.partition('rc')[0]}</version>" in package.read_text("utf-8")
+    log = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    assert re.search(rf"^## (Unreleased|{re.escape(version)} \([\d-]+\))$", log, re.MULTILINE)
 
 
 def test_each_instruction_installs_from_the_source_and_no_name_that_nobody_owns() -> None:

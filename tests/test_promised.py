@@ -28,8 +28,8 @@ def kind(name: str) -> str:
 
 
 TELL = (
-    "name it in a line of CHANGELOG.md under Unreleased, then run python -m tests.promised, which "
-    "writes tests/promised.txt"
+    "name it in a line of the newest section of CHANGELOG.md, then run python -m tests.promised, "
+    "which writes tests/promised.txt"
 )
 
 
@@ -97,6 +97,12 @@ def test_a_change_without_a_new_line_of_the_change_log_is_named(
     now: promised.Promises, line: str, missing: list[str]
 ) -> None:
     assert promised.unnamed(BEFORE, now, LOG.format(""), LOG.format(line)) == missing
+
+
+@pytest.mark.parametrize("heading", ["Unreleased", "1.0.0rc1 (2026-11-29)"])
+def test_the_newest_section_is_the_first_of_a_version(heading: str) -> None:
+    log = "# Changelog\n\n## Policy\n\nNone.\n\n" + LOG.partition("\n\n")[2].format("")
+    assert promised.newest(log.replace("Unreleased", heading)) == ["", "- `land` waits.", ""]
 
 
 def test_a_file_is_read_as_it_was_written() -> None:
