@@ -268,7 +268,7 @@ class SetpointLoop:
         _logger.warning(
             "setpoints go out at %.0f Hz, less than %.0f %% of what is asked for: this computer is "
             "too busy, or the program blocks its event loop. End other programs, or ask for fewer: "
-            "m100link docs performance",
+            "m100link docs on-board",
             self.pace.rate_hz,
             100 * KEPT,
         )

@@ -257,7 +257,7 @@ class Tabs:
         if self._slept > 2 * LIVE_INTERVAL:
             agent.note(
                 "this computer is too busy: pages get less than half of their 20 updates a second. "
-                "Close tabs and other programs: m100link docs performance",
+                "Close tabs and other programs: m100link docs on-board",
                 "warning",
             )
             self._slept = math.nan
