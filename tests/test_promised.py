@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib
+
 import pytest
 
 from tests import promised
@@ -62,6 +64,15 @@ def test_the_file_has_each_kind_of_promise() -> None:
     for name, begin in by_hand.items():
         assert FILE[name].startswith(begin), (name, FILE[name])
     assert not [name for name in FILE if "._" in name or name.startswith(promised.OF_ONE_RELEASE)]
+
+
+def test_an_application_of_which_nothing_is_promised_says_so() -> None:
+    for package in sorted((promised.ROOT / "m100link/apps").glob("*/__init__.py")):
+        name = f"m100link.apps.{package.parent.name}"
+        text = importlib.import_module(name).__doc__ or ""
+        has_names = any(one.startswith(f"{name}.") for one in FILE)
+        has_names |= any(one.startswith(f"m100link.{package.parent.name}.") for one in FILE)
+        assert ("promised" in text) is (not has_names or "``config``" in text), name
 
 
 LOG = "# Changelog\n\n## Unreleased\n\n- `land` waits.\n{}\n## 0.2.0\n\n- `hover` is new.\n"

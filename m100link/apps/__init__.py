@@ -1,1 +1,1 @@
-"""Applications of the library: each is a client of it, or of the agent, and it imports none."""
+"""Applications of the library. Programs may rely on what docs/project/compatibility.md names."""

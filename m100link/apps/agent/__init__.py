@@ -1,1 +1,1 @@
-"""The one owner of an aircraft: connection, lease, journal, and the orders of clients."""
+"""The one owner of an aircraft: connection, lease, journal, orders of clients. Not promised."""

@@ -1,1 +1,1 @@
-"""A network of named messages, questions and tokens: zenoh, or one in memory for tests."""
+"""A network of messages, questions and tokens: zenoh, or one in memory. Not promised."""

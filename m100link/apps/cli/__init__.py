@@ -1,4 +1,4 @@
-"""The command line. Needs the extra ``cli``."""
+"""The command line. Needs the extra ``cli``. Its verbs are promised, its modules are not."""
 
 from __future__ import annotations
 

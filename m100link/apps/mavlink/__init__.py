@@ -1,1 +1,1 @@
-"""A Matrice 100 for programs that speak MAVLink: a front of the agent, translated in both ways."""
+"""A Matrice 100 for programs that speak MAVLink, a front of the agent. Not promised."""

@@ -1,4 +1,4 @@
-"""A node of ROS 2 without a ROS installation: what rmw_zenoh has on the wire, made here."""
+"""A node of ROS 2 without a ROS installation, by the bytes of rmw_zenoh. Not promised."""
 
 from __future__ import annotations
 

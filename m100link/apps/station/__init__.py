@@ -1,4 +1,4 @@
-"""The ground station: one aircraft shared by many clients, with one hand on the stick at a time.
+"""The ground station: one aircraft for many clients. Of its modules, ``config`` is promised.
 
 :mod:`m100link.apps.agent.lease` says who may steer, :mod:`m100link.apps.agent.server.agent` owns
 the aircraft, :mod:`m100link.apps.station.ros.client` speaks rosbridge v2 without knowing what
