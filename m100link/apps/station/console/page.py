@@ -76,7 +76,6 @@ VIEWS: dict[str, tuple[str, tuple[_Make, ...]]] = {
 """By name, ``page.view.<name>`` stands on its tab: its icon, and its parts in their order."""
 
 _PATIENCE = 30.0  # seconds for a busy browser to return its stored secret
-_SHELL = 'import("/console/shell.js").then(({m100}) => '
 _MAP_VIEWS = ("fly", "plan")
 
 
@@ -150,17 +149,10 @@ class Page:
     async def _go_on(self) -> None:
         """Look and speak as it was chosen, and go on where the page was before a reload."""
         await load_settings(self._context)
-        context, tab = self._context, self._tab
         try:
-            name, secret = await ui.run_javascript(_SHELL + "m100.kept())", timeout=_PATIENCE)
+            name = await ui.run_javascript("location.hash.slice(1)", timeout=_PATIENCE)
         except TimeoutError:
             return  # the page has gone, or hangs: it stays as it is
-        looks = context.tabs.looks
-        tab.person = looks.person(secret)
-        ui.run_javascript(f"{_SHELL}m100.keep({json.dumps(tab.person)}))")
-        said_at = looks.said_at(tab.person, tab.aircraft, self._agent, context.history)
-        if said_at is not None:
-            context.memory.checklist.say_free(said_at, is_free=True)
         if name in VIEWS:
             await self._show(name)
 

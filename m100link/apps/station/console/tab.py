@@ -77,8 +77,6 @@ class Tab:
         self._agent = self.agent = agent
         self.aircraft = aircraft
         self.kept = {} if kept is None else kept  # lasts as long as this tab is heard
-        # The name of its user, past a reload: see :mod:`~m100link.apps.station.console.kept`.
-        self.person = ""
         self.refusal: M100Error | None = None  # the last one; None for nothing
         self.beats = 0  # beats that were sent on
         self.refused = 0  # messages that could not be used

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import math
 import secrets
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from itertools import pairwise
 from urllib.parse import urlencode
 
 from starlette.status import WS_1008_POLICY_VIOLATION
@@ -16,13 +14,10 @@ from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from m100link.apps.agent.client import AgentClient, Hearing
 from m100link.apps.agent.control_session import RENEWAL_S, ControlSession
-from m100link.apps.station.console.kept import PlotHistory
 from m100link.apps.station.console.tab import Tab
-from m100link.apps.station.console.view.fly import FREE_FOR_S, live, seen_from_afar
+from m100link.apps.station.console.view.fly import live, seen_from_afar
 from m100link.apps.station.web.limits import to_evict
 from m100link.apps.station.web.protocol import WebSocketConnection, frames_of, until_one_ends
-from m100link.protocol.records import FlightPhase
-from m100link.telemetry.state import AircraftState
 
 LIVE_INTERVAL = 0.05  # seconds between two updates of the instruments
 WATCHED = 100  # of these, over which the average tells a slow computer from a moment's work
@@ -34,70 +29,6 @@ UNHEARD_INTERVAL = 0.25
 """Seconds between two words that the station is there while the agent is not heard."""
 
 PLACES = 32  # tabs that may have a socket
-
-
-# -- what operators said of the place before take-off ----------------------------------------------
-# A word counts for one person, one aircraft and one connection, for as long as it would have
-# without the reload, and only while the aircraft was seen to stand on the ground all the time: in a
-# flight, or in a gap of the telemetry, it may have come to another place. The person is the
-# browser's tab: it keeps a secret that no other tab has, so nobody takes off on what somebody else
-# has seen.
-
-MOST = 256  # persons that are remembered
-
-_STATUS = "flight_status.status"
-_LONGEST_GAP_S = 1.0
-
-
-@dataclass(frozen=True, slots=True)
-class _Look:
-    at: float  # when it was said, on the agent's clock, s
-    connection: AircraftState  # the telemetry of the connection then: each connection has another
-
-
-class Preferences:
-    """Words that places are free, by person and aircraft."""
-
-    def __init__(self) -> None:
-        self._persons: dict[str, dict[str, _Look]] = {}
-
-    def person(self, secret: object) -> str:
-        """The person of whom a tab kept this secret; another one if nobody here knows it."""
-        known = secret if isinstance(secret, str) and secret in self._persons else ""
-        person = known or secrets.token_urlsafe(16)
-        self._persons[person] = self._persons.pop(person, {})  # the newest is the last to go
-        while len(self._persons) > MOST:
-            del self._persons[next(iter(self._persons))]
-        return person
-
-    def say(self, person: str, aircraft: str, agent: AgentClient, *, is_free: bool) -> None:
-        """A person looked around now, or takes that back."""
-        words = self._persons.get(person)
-        if words is None:
-            return
-        words.pop(aircraft, None)
-        if is_free and agent.telemetry is not None:
-            words[aircraft] = _Look(agent.now, agent.telemetry)
-
-    def said_at(
-        self, person: str, aircraft: str, agent: AgentClient, history: PlotHistory
-    ) -> float | None:
-        """When that person looked around, on the agent's clock, s; None: look again."""
-        look = self._persons.get(person, {}).get(aircraft)
-        if look is None or agent.is_gone or agent.telemetry is not look.connection:
-            return None
-        age = agent.now - look.at
-        if age > FREE_FOR_S:
-            return None
-        rows = history.rows([_STATUS], last_s=age)
-        times = [utc for utc, _ in rows]
-        stood = all(status == FlightPhase.STANDBY for _, status in rows)
-        longest = max((after - before for before, after in pairwise(times)), default=0.0)
-        is_whole = math.isfinite(longest) and longest <= _LONGEST_GAP_S
-        return look.at if rows and stood and is_whole else None
-
-
-# -- tabs ------------------------------------------------------------------------------------------
 
 
 @dataclass(slots=True, eq=False)
@@ -140,7 +71,6 @@ class Tabs:
         self._count = 0
         self._moves: dict[str, _Move] = {}  # by their codes
         self.tabs: dict[str, Tab] = {}  # those that are open
-        self.looks = Preferences()  # what their operators said before a take-off
         self._places: dict[str, _Place] = {}
         self._slept = LIVE_INTERVAL  # between two updates, on average, s; nan once it was too long
 

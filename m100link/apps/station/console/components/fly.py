@@ -321,11 +321,10 @@ class FreeBox:
         page.wording.put(self._box.classes("free").set_text, "checklist.free.box")
 
     def _say(self, *, is_free: bool) -> None:
-        page, checklist, now = self._page, self._page.memory.checklist, self._page.agent.now
+        checklist, now = self._page.memory.checklist, self._page.agent.now
         if is_free is checklist.is_free(now):
             return  # the box follows what was said, and says nothing by itself
         checklist.say_free(now, is_free=is_free)
-        page.tabs.looks.say(page.tab.person, page.tab.aircraft, page.agent, is_free=is_free)
 
     def update(self, checklist: fly.Checklist) -> None:
         if bool(self._box.value) is not checklist.is_free_said:

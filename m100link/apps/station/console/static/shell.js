@@ -13,7 +13,6 @@ const SHIFTED_MS = 400;  // so long after the page shifted, a finger is where an
 const STOOD_STILL_MS = 500;  // later than this, nobody knows whether the button was held
 
 const FOLDS = "m100link.folds";  // which panels this browser shows
-const PERSON = "m100link.person";  // who looks at this tab, also after a reload
 
 const listeners = [];
 const waiting = [];  // for the map
@@ -32,19 +31,6 @@ export const m100 = {
     return {at: performance.now(), press, shown: event.detail?.shown};
   },
   answered,
-  // The view that was shown, and the secret of this tab's operator; null where none is kept.
-  kept() {
-    let person = null;
-    try {
-      person = sessionStorage.getItem(PERSON);
-    } catch { /* where nothing may be stored, a reload forgets it */ }
-    return [location.hash.slice(1), person];
-  },
-  keep(person) {
-    try {
-      sessionStorage.setItem(PERSON, person);
-    } catch { /* as above */ }
-  },
 };
 
 export function start(key) {
