@@ -1,10 +1,7 @@
-"""Files that people write: one reader and one policy for keys and tokens, one look at all of them.
+"""Files that people write: one reader and one policy for keys and tokens.
 
 A secret that others can read is not used: the error names the file and the command that closes it.
 A file is read only as far as a secret can be long, so that a wrong path costs nothing.
-
-No checksum stands in such a file. So its reader keeps a checksum, with the file's time of writing:
-contents that differ while that time does not are damage of the disk.
 
 A program replaces a file by :func:`replace_file`.
 """
@@ -18,7 +15,6 @@ import stat
 import sys
 from pathlib import Path
 from typing import IO
-from zlib import crc32
 
 from m100link.errors import UsageError
 from m100link.errors.texts import read_path
@@ -26,10 +22,6 @@ from m100link.errors.usage import unread
 from m100link.wire.cipher import Key
 
 _logger = logging.getLogger(__name__)
-
-_SEEN = "user.m100link.seen"
-"""An extended attribute: it goes with the file, and who cannot read the one cannot read the other.
-Where a file system has none, nothing is noticed."""
 
 MAX_SECRET_SIZE = 4096  # longest file with a secret, bytes
 
@@ -59,36 +51,6 @@ def read_token(path: Path) -> str:
 def mode_of(file: IO[bytes]) -> int:
     """Return who may do what with an open file, as POSIX has it; on Windows it says nothing: 0."""
     return 0 if sys.platform == "win32" else stat.S_IMODE(os.fstat(file.fileno()).st_mode)
-
-
-def read_watched(file: IO[bytes], path: Path, size: int = -1) -> bytes:
-    """Read a file; a warning tells when its content changed though nobody wrote it.
-
-    ``size``: bytes at most. Raises ``OSError``: it cannot be read.
-    """
-    # Before it is read: what is written meanwhile has another time, and is looked at anew.
-    written = os.fstat(file.fileno()).st_mtime_ns
-    data = file.read(size)
-    if not hasattr(os, "getxattr"):
-        return data
-    seen = f"{written} {crc32(data):08x}".encode()
-    try:
-        before = os.getxattr(file.fileno(), _SEEN)
-    except OSError:  # never seen, or such a file system
-        before = b""
-    if before != seen and before.startswith(b"%d " % written):
-        _logger.warning(
-            "%s says something else than before, and nobody has written it: look at it, the disk "
-            "may be failing; to keep it as it is: touch %s",
-            path,
-            path,
-        )
-    elif before != seen:
-        try:
-            os.setxattr(file.fileno(), _SEEN, seen)
-        except OSError as error:
-            _logger.debug("%s is not watched: %s", path, error)
-    return data
 
 
 def replace_file(path: Path, data: bytes, *, mode: int = 0o600) -> None:
@@ -161,7 +123,7 @@ def _read(path: Path, what: str) -> bytes:
         with place.open("rb") as file:
             # The open file is looked at, not the path: that may lead elsewhere by now.
             mode = mode_of(file)
-            data = read_watched(file, place, MAX_SECRET_SIZE + 1)
+            data = file.read(MAX_SECRET_SIZE + 1)
     except OSError as error:
         raise unread(f"the {what} file {path}", error) from error
     if mode & 0o077:

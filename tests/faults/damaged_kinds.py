@@ -5,19 +5,14 @@ from __future__ import annotations
 import asyncio
 import logging
 import math
-import os
 import shutil
 from collections.abc import Callable
-from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from unittest.mock import patch
 
-from m100link.apps.cli.configuration import read_configuration
-from m100link.apps.fleet.identity import Rights
 from m100link.apps.fleet.order_log import FileOrderLog
 from m100link.errors import M100Error
-from m100link.link.keyfile import read_key
 from m100link.log import Message, read, recorder, recover
 from m100link.sim import VirtualClockEventLoop
 from tests.faults.damaged_files import Judge
@@ -159,83 +154,8 @@ def _untold_of_ledger(found: FileOrderLog, true: FileOrderLog) -> str:
     return ""
 
 
-# -- files that people write ----------------------------------------------------------------------
-
-_CONFIGURATION = """\
-# What flies here.
-[defaults]
-aircraft = "lab"
-firmware = "3.1"
-
-[aircraft.lab]
-url = "serial:///dev/ttyUSB0:230400"
-app_id = 1054321
-
-[station]
-max_height = 12.5  # under the roof
-max_radius = 20.0
-"""
-
-_RIGHTS = """\
-site = "lab"
-
-[aircraft]
-a1 = "a1"
-
-[identity.anna]
-rights = ["watch", "stop", "fly"]
-aircraft = ["a1"]
-"""
-
-_READERS: dict[str, Callable[[Path], object]] = {
-    _CONFIGURATION: read_configuration,
-    _RIGHTS: Rights.read,
-    "00112233445566778899aabbccddeeff" * 2: read_key,
-}
-
-
-class _Told(logging.Handler):
-    """Keeps what was warned of."""
-
-    def __init__(self) -> None:
-        super().__init__(logging.WARNING)
-        self.records: list[logging.LogRecord] = []
-
-    def emit(self, record: logging.LogRecord) -> None:
-        self.records.append(record)
-
-
-def configurations(folder: Path) -> tuple[list[bytes], Judge]:
-    """The user's configuration, a file of rights, and a key: read once, then the disk fails."""
-    path = folder / "file"
-    told = _Told()
-    logging.getLogger("m100link.link.keyfile").addHandler(told)
-
-    def judge(whole: bytes, copy: bytes) -> str:
-        path.unlink(missing_ok=True)
-        path.touch(0o600)
-        path.write_bytes(whole)
-        read = _READERS[whole.decode()]
-        told.records.clear()
-        with suppress(M100Error):
-            read(path)
-        if told.records:
-            return "a file that somebody wrote is reported as damaged"
-        written = path.stat().st_mtime_ns
-        path.write_bytes(copy)
-        os.utime(path, ns=(written, written))  # disks do not say when they failed
-        try:
-            read(path)
-        except M100Error:
-            return ""
-        return "it says something else in silence" if copy != whole and not told.records else ""
-
-    return [text.encode() for text in _READERS], judge
-
-
 KINDS: dict[str, Callable[[Path], tuple[list[bytes], Judge]]] = {
     "log": logs,
     "ledger": ledgers,
     "mark": partial(ledgers, suffix=".lock"),
-    "configuration": configurations,
 }

@@ -19,7 +19,7 @@ PARSERS = frozenset(
         *("read_json", "read_toml", "fromhex", "b64decode", "decode", "decompress"),
         *("from_bytes", "unpack", "unpack_from", "iter_unpack"),
         *("parse_qs", "parse_qsl", "fromstring", "DictReader", "ElementTree", "XMLParser"),
-        *("read_bytes", "read_text", "readline", "readexactly", "read_watched", "getxattr"),
+        *("read_bytes", "read_text", "readline", "readexactly"),
         *("recv", "recvfrom", "recv_into", "pread", "data_received", "datagram_received"),
         *("load_pem_x509_certificate", "load_pem_private_key"),
     }

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import logging
 import os
 import stat
 from pathlib import Path
@@ -15,7 +14,6 @@ from m100link.link.keyfile import (
     MAX_SECRET_SIZE,
     read_key,
     read_token,
-    read_watched,
     replace_file,
 )
 from tests.disk import Disk
@@ -68,55 +66,6 @@ def test_what_cannot_be_read_names_the_file(tmp_path: Path, read: object) -> Non
 
 def test_a_token_has_no_white_space_around_it(tmp_path: Path) -> None:
     assert read_token(write(tmp_path / "token", b" 0123456789abcdef\n")) == "0123456789abcdef"
-
-
-def warned(path: Path, caplog: pytest.LogCaptureFixture) -> bool:
-    caplog.clear()
-    with caplog.at_level(logging.WARNING), path.open("rb") as file:
-        read_watched(file, path)
-    return [record.message.partition(", and")[0] for record in caplog.records] == [
-        f"{path} says something else than before"
-    ]
-
-
-def test_what_changes_though_nobody_writes_it_is_reported(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    kept: dict[int, bytes] = {}  # not each file system has attributes
-
-    def get(handle: int, _: str) -> bytes:
-        if os.fstat(handle).st_ino not in kept:
-            raise OSError("no such attribute")
-        return kept[os.fstat(handle).st_ino]
-
-    def put(handle: int, _: str, value: bytes) -> None:
-        kept[os.fstat(handle).st_ino] = value
-
-    monkeypatch.setattr(os, "getxattr", get, raising=False)
-    monkeypatch.setattr(os, "setxattr", put, raising=False)
-    path = write(tmp_path / "file", b"max_height = 12")
-    os.utime(path, ns=(10**18, 10**18))
-    assert not warned(path, caplog), "never seen"
-    assert not warned(path, caplog)
-    path.write_bytes(b"max_height = 92")
-    os.utime(path, ns=(10**18, 10**18))  # a disk does not say when
-    assert warned(path, caplog)
-    assert warned(path, caplog), "until somebody writes it"
-    os.utime(path, ns=(10**18 + 1, 10**18 + 1))
-    assert not warned(path, caplog)
-    assert not warned(path, caplog)
-
-
-def test_a_file_system_without_attributes_is_read_all_the_same(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def fail(*_: object) -> bytes:
-        raise OSError("not supported")
-
-    monkeypatch.setattr(os, "getxattr", fail, raising=False)
-    monkeypatch.setattr(os, "setxattr", fail, raising=False)
-    path = write(tmp_path / "file", b"x")
-    assert not warned(path, caplog)
 
 
 @pytest.mark.parametrize("before", [b"the list of before", None])

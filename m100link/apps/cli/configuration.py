@@ -23,7 +23,7 @@ from typing import Any
 from m100link.apps.station.config import Settings
 from m100link.errors import BadURL, UsageError
 from m100link.errors.texts import read_path, read_toml
-from m100link.link.keyfile import mode_of, read_watched, replace_file
+from m100link.link.keyfile import mode_of, replace_file
 from m100link.link.url import EXAMPLES, parse_url
 from m100link.protocol.firmware import PROFILES
 from m100link.protocol.records import AccelerationMode
@@ -127,7 +127,7 @@ def read_configuration(path: Path | None = None) -> Configuration:
     try:
         with path.open("rb") as file:
             mode = mode_of(file)
-            tables = read_toml(read_watched(file, path))
+            tables = read_toml(file.read())
     except FileNotFoundError:
         return Configuration(path=path)
     except (OSError, ValueError) as error:

@@ -26,7 +26,7 @@ from m100link.apps.fleet.keys import NAME
 from m100link.apps.fleet.payloads import OrderMessage, StartShow, TakePlace
 from m100link.errors import NotAllowed, UsageError
 from m100link.errors.texts import read_toml
-from m100link.link.keyfile import mode_of, read_watched
+from m100link.link.keyfile import mode_of
 from m100link.protocol.firmware import PROFILES
 
 # -- one file for a fleet: its routers, its aircraft, and the rights of its operators --------------
@@ -187,7 +187,7 @@ class Rights:
         try:
             with Path(path).open("rb") as file:
                 mode = mode_of(file)
-                data = read_watched(file, Path(path), _LARGEST + 1)
+                data = file.read(_LARGEST + 1)
         except OSError as error:
             raise BadRights(
                 f"{path} cannot be read: {error.strerror}", remedy="check its name"
