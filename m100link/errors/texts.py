@@ -10,6 +10,7 @@ RuntimeError. So nothing else in the package calls them.
 from __future__ import annotations
 
 import json
+import math
 import os
 import re
 import tomllib
@@ -17,7 +18,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-__all__ = ["printable", "read_json", "read_path", "read_toml", "shortened"]
+__all__ = ["printable", "read_json", "read_path", "read_toml", "shortened", "without_nan"]
 
 _MOST_DIGITS = 300
 """Digits of an integer: a float holds up to 308."""
@@ -68,6 +69,15 @@ def read_json(
     except RecursionError:
         raise ValueError("it is nested too deeply") from None
     return value
+
+
+def without_nan(value: Any) -> Any:
+    """A value as JSON takes it, which has no NaN and no infinity: null stands for them."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {str(name): without_nan(one) for name, one in value.items()}
+    return [without_nan(one) for one in value] if isinstance(value, list | tuple) else value
 
 
 def read_toml(text: str | bytes) -> dict[str, Any]:

@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
 from m100link.errors import UsageError
-from m100link.errors.texts import read_path
+from m100link.errors.texts import read_path, without_nan
 from m100link.link import Direction, Link
 from m100link.link.keyfile import locks
 from m100link.log.channels import CHUNKS, FIX, LINK, RX, SCHEMAS, TX, Entry, FrameInterpreter
@@ -575,7 +575,7 @@ class LogWriter:
                 "timestamp": {"sec": at // 10**9, "nsec": at % 10**9},
                 **content,
             }
-        self._add(topic, json.dumps(_finite(content), separators=(",", ":")).encode(), now)
+        self._add(topic, json.dumps(without_nan(content), separators=(",", ":")).encode(), now)
 
     def _add(self, topic: str, data: bytes, now: float) -> None:
         channel = self._channels[topic]
@@ -590,14 +590,3 @@ class LogWriter:
 
     def _nanoseconds(self, now: float) -> int:
         return max(0, round((now + self.utc_offset_s) * 1e9))
-
-
-def _finite(value: Any) -> Any:
-    """JSON has no NaN and no infinity: null stands for them."""
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, dict):
-        return {str(key): _finite(one) for key, one in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(one) for one in value]
-    return value

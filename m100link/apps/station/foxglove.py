@@ -31,7 +31,6 @@ from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.messages import Event
 from m100link.apps.station.config import Settings, namespace_of
 from m100link.apps.station.listeners import Fronts, beside
-from m100link.apps.station.ros.messages import without_nan
 from m100link.apps.station.web.access_control import AccessControl
 from m100link.apps.station.web.protocol import (
     WebSocketConnection,
@@ -39,7 +38,7 @@ from m100link.apps.station.web.protocol import (
     serve_http,
     until_one_ends,
 )
-from m100link.errors.texts import read_json
+from m100link.errors.texts import read_json, without_nan
 from m100link.log.channels import (
     FIX,
     MESSAGE,

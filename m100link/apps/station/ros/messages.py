@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from m100link.errors.texts import read_json
+from m100link.errors.texts import read_json, without_nan
 
 Message = dict[str, Any]  # a ROS message: field names and values
 
@@ -337,17 +337,6 @@ def _base64(value: Any) -> str:
     if isinstance(value, bytes):
         return base64.b64encode(value).decode("ascii")
     raise TypeError(f"{type(value).__name__} is not a value of a ROS message")
-
-
-def without_nan(value: Any) -> Any:
-    """A value as JSON takes it, which has no NaN and no infinity: null stands for them."""
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, dict):
-        return {name: without_nan(one) for name, one in value.items()}
-    if isinstance(value, list):
-        return [without_nan(one) for one in value]
-    return value
 
 
 def _for_cbor(field: MessageField, value: Any) -> Any:
