@@ -17,29 +17,24 @@ class Damage:
     """Damaged and missing parts of a flight log. False when there are none.
 
     The file of a killed process has no end (``is_ended``); that alone is no damage.
-
-    Attributes:
-        places: Byte ranges of the file that cannot be read, or are not as they were written.
-        missing: Messages that are missing at least, by topic; ``""`` where no topic is known.
-        spans_utc: Between which messages that are there others are missing, POSIX time, s; None
-            for the beginning and the end of the file. Messages that arrive together are written
-            together, so a time may be half a second off.
-        is_changed: The checksum of the whole file is wrong, though each of its parts can be read.
-        is_ended: Whether the end is there.
-        is_written: Whether a program was still writing the file without an end.
-        cut_bytes: Size of the unfinished record at the end of a file without one.
-        began_utc, ended_utc: POSIX time of the first message and of the newest, s; None when there
-            is none.
     """
 
+    #: Byte ranges of the file that cannot be read, or are not as they were written.
     places: tuple[tuple[int, int], ...] = ()
+    #: Messages that are missing at least, by topic; ``""`` where no topic is known.
     missing: dict[str, int] = field(default_factory=dict)
+    #: Between which messages that are there others are missing, POSIX time, s; None for the
+    #: beginning and the end of the file. Messages that arrive together are written together, so a
+    #: time may be half a second off.
     spans_utc: tuple[tuple[float | None, float | None], ...] = ()
+    #: The checksum of the whole file is wrong, though each of its parts can be read.
     is_changed: bool = False
-    is_ended: bool = True
-    is_written: bool = False
-    cut_bytes: int = 0
+    is_ended: bool = True  #: Whether the end is there.
+    is_written: bool = False  #: Whether a program was still writing the file without an end.
+    cut_bytes: int = 0  #: Size of the unfinished record at the end of a file without one.
+    #: POSIX time of the first message and of the newest, s; None when there is none.
     began_utc: float | None = None
+    #: POSIX time of the first message and of the newest, s; None when there is none.
     ended_utc: float | None = None
 
     def __bool__(self) -> bool:

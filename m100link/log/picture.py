@@ -183,29 +183,19 @@ _STEP_S = 0.5
 
 
 class Apart(NamedTuple):
-    """How far two flights were apart.
+    """How far two flights were apart."""
 
-    Attributes:
-        after_s: Seconds after the take-off of each.
-        metres: How far apart over ground, each measured from its own take-off point.
-    """
-
-    after_s: float
-    metres: float
+    after_s: float  #: Seconds after the take-off of each.
+    metres: float  #: How far apart over ground, each measured from its own take-off point.
 
 
 @dataclass(frozen=True)
 class Difference:
-    """One value of both flights.
+    """One value of both flights."""
 
-    Attributes:
-        name: The value's name, with its unit at the end.
-        first, second: Of each; None where it was never heard.
-    """
-
-    name: str
-    first: float | None
-    second: float | None
+    name: str  #: The value's name, with its unit at the end.
+    first: float | None  #: Of each; None where it was never heard.
+    second: float | None  #: Of each; None where it was never heard.
 
     @property
     def by(self) -> float | None:
@@ -217,20 +207,14 @@ class Difference:
 
 @dataclass
 class Comparison:
-    """Two flights beside each other.
+    """Two flights beside each other."""
 
-    Attributes:
-        values: Durations, maxima and the line.
-        apart: Twice a second; empty when one of them did not take off.
-        commands: Lines of the commands: beginning with ``-`` only in the first, with ``+``
-            only in the second.
-        alarms: The same of alarms.
-    """
-
-    values: list[Difference] = field(default_factory=list)
+    values: list[Difference] = field(default_factory=list)  #: Durations, maxima and the line.
+    #: Twice a second; empty when one of them did not take off.
     apart: list[Apart] = field(default_factory=list)
+    #: Lines of the commands: beginning with ``-`` only in the first, with ``+`` only in the second.
     commands: list[str] = field(default_factory=list)
-    alarms: list[str] = field(default_factory=list)
+    alarms: list[str] = field(default_factory=list)  #: The same of alarms.
 
     @property
     def mean_apart_m(self) -> float | None:

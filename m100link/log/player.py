@@ -38,26 +38,19 @@ _VERSION = bytes(GetVersion.ADDRESS)
 
 
 class Begin(NamedTuple):
-    """The facts of a recording that are known before it is played.
+    """The facts of a recording that are known before it is played."""
 
-    Attributes:
-        at: The time of the recording's event loop at which it begins, s.
-        utc: The same as POSIX time, s.
-        duration_s: How long it goes on.
-        damage: The parts missing from the file; whether it was ended is there, too.
-        version: The aircraft's first answer; None when it did not answer in the first minute.
-        firmware: By which telemetry was read; None when that was never known.
-        events: Control authority over time; for playing from elsewhere than the beginning.
-        acceleration: The mode in which it was sent; None when that was never known.
-    """
-
-    at: float
-    utc: float
-    duration_s: float
-    damage: Damage
+    at: float  #: The time of the recording's event loop at which it begins, s.
+    utc: float  #: The same as POSIX time, s.
+    duration_s: float  #: How long it goes on.
+    damage: Damage  #: The parts missing from the file; whether it was ended is there, too.
+    #: The aircraft's first answer; None when it did not answer in the first minute.
     version: Version | None
+    #: By which telemetry was read; None when that was never known.
     firmware: FirmwareProfile | None
+    #: Control authority over time; for playing from elsewhere than the beginning.
     events: tuple[Message, ...] = ()
+    #: The mode in which it was sent; None when that was never known.
     acceleration: AccelerationMode | None = None
 
     @property

@@ -54,19 +54,12 @@ _OF_WRITES = b'{"direction":"tx"'
 
 
 class Message(NamedTuple):
-    """One message of a log.
+    """One message of a log."""
 
-    Attributes:
-        topic: The subject, see ``docs: reference/log``.
-        at: The event loop's clock when it was written, s.
-        utc: The same as POSIX time, s.
-        data: Its bytes; JSON, except on the raw topics.
-    """
-
-    topic: str
-    at: float
-    utc: float
-    data: bytes
+    topic: str  #: The subject, see ``docs: reference/log``.
+    at: float  #: The event loop's clock when it was written, s.
+    utc: float  #: The same as POSIX time, s.
+    data: bytes  #: Its bytes; JSON, except on the raw topics.
 
     def content(self) -> dict[str, Any]:
         """The content of the message.
@@ -88,45 +81,28 @@ Packages = list[tuple[bytes, float]]
 
 
 class Chunk(NamedTuple):
-    """The bytes of one read or write.
+    """The bytes of one read or write."""
 
-    Attributes:
-        direction: Which way they went.
-        at: When, on the event loop's clock of that time, s.
-        utc: The same as POSIX time, s.
-        data: The bytes.
-    """
-
-    direction: Direction
-    at: float
-    utc: float
-    data: bytes
+    direction: Direction  #: Which way they went.
+    at: float  #: When, on the event loop's clock of that time, s.
+    utc: float  #: The same as POSIX time, s.
+    data: bytes  #: The bytes.
 
 
 @dataclass(frozen=True)
 class Summary:
-    """The content of a log in numbers.
+    """The content of a log in numbers."""
 
-    Attributes:
-        began_utc: POSIX time of the first message, s; None when there is none.
-        duration_s: From the first message to the last, s.
-        messages: How many, by topic.
-        bytes_received, bytes_sent: Raw bytes of the line.
-        is_whole: Whether the file was ended, and nothing of it is damaged or missing.
-        firmware: Name of the firmware profile; None when it was never known.
-        acceleration: The mode in which acceleration was sent; None when it was never known.
-        damage: The parts damaged or missing.
-    """
-
-    began_utc: float | None
-    duration_s: float
-    messages: dict[str, int]
-    bytes_received: int
-    bytes_sent: int
-    is_whole: bool
-    firmware: str | None
+    began_utc: float | None  #: POSIX time of the first message, s; None when there is none.
+    duration_s: float  #: From the first message to the last, s.
+    messages: dict[str, int]  #: How many, by topic.
+    bytes_received: int  #: Raw bytes of the line.
+    bytes_sent: int  #: Raw bytes of the line.
+    is_whole: bool  #: Whether the file was ended, and nothing of it is damaged or missing.
+    firmware: str | None  #: Name of the firmware profile; None when it was never known.
+    #: The mode in which acceleration was sent; None when it was never known.
     acceleration: AccelerationMode | None
-    damage: Damage
+    damage: Damage  #: The parts damaged or missing.
 
 
 _MOST_MISSING = 3000  # half a minute; a larger step is a count that begins anew

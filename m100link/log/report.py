@@ -34,24 +34,18 @@ _MOVES_M_S, _STILL_S = 0.3, 0.5  # faster, it moves; slower for so long, it stan
 
 
 class Odometry(NamedTuple):
-    """The newest telemetry of a moment; None for a value that was not heard until then.
+    """The newest telemetry of a moment; None for a value that was not heard until then."""
 
-    Attributes:
-        north_m, east_m: Place over ground, from the take-off point, or from the first place.
-        height_m: Above the take-off point.
-        north_m_s, east_m_s, up_m_s: Velocity over ground.
-        battery_percent: Charge.
-        gps_health: 0 to 5; from 3 on the aircraft holds its place.
-    """
-
+    #: Place over ground, from the take-off point, or from the first place.
     north_m: float | None = None
+    #: Place over ground, from the take-off point, or from the first place.
     east_m: float | None = None
-    height_m: float | None = None
-    north_m_s: float | None = None
-    east_m_s: float | None = None
-    up_m_s: float | None = None
-    battery_percent: int | None = None
-    gps_health: int | None = None
+    height_m: float | None = None  #: Above the take-off point.
+    north_m_s: float | None = None  #: Velocity over ground.
+    east_m_s: float | None = None  #: Velocity over ground.
+    up_m_s: float | None = None  #: Velocity over ground.
+    battery_percent: int | None = None  #: Charge.
+    gps_health: int | None = None  #: 0 to 5; from 3 on the aircraft holds its place.
 
     def __str__(self) -> str:
         said = ("{:+z.1f} m north", "{:+z.1f} m east", "{:z.1f} m high", "{:+z.1f} m/s north",
@@ -62,23 +56,16 @@ class Odometry(NamedTuple):
 
 
 class Sentence(NamedTuple):
-    """Something that happened.
+    """Something that happened."""
 
-    Attributes:
-        at_s: When, s after the beginning of the log; less than 0 for what was before it.
-        kind: Its subject: ``client``, ``lease``, ``control``, ``order``, ``setpoints``, ``plan``,
-            ``limits``, ``journal``, ``text``, ``flight``, ``obeyed``, ``switch``, ``motion``,
-            ``alarm``, ``sent`` or ``line``.
-        who: The client or person that acted; empty where the log does not say it.
-        text: The sentence.
-        flown: Place, velocity, battery and GPS of that moment.
-    """
-
-    at_s: float
+    at_s: float  #: When, s after the beginning of the log; less than 0 for what was before it.
+    #: Its subject: ``client``, ``lease``, ``control``, ``order``, ``setpoints``, ``plan``,
+    #: ``limits``, ``journal``, ``text``, ``flight``, ``obeyed``, ``switch``, ``motion``, ``alarm``,
+    #: ``sent`` or ``line``.
     kind: str
-    who: str
-    text: str
-    flown: Odometry = Odometry()
+    who: str  #: The client or person that acted; empty where the log does not say it.
+    text: str  #: The sentence.
+    flown: Odometry = Odometry()  #: Place, velocity, battery and GPS of that moment.
 
 
 def report(

@@ -128,37 +128,24 @@ _CLOSED = "the link was closed by this side"
 
 
 class Span(NamedTuple):
-    """Something that lasted.
+    """Something that lasted."""
 
-    Attributes:
-        name: What.
-        begin_s, end_s: From when to when, s after the beginning of the log.
-        text: More about it, for people.
-    """
-
-    name: str
-    begin_s: float
-    end_s: float
-    text: str = ""
+    name: str  #: What.
+    begin_s: float  #: From when to when, s after the beginning of the log.
+    end_s: float  #: From when to when, s after the beginning of the log.
+    text: str = ""  #: More about it, for people.
 
 
 class Moment(NamedTuple):
-    """A command that was sent, and what became of it.
+    """A command that was sent, and what became of it."""
 
-    Attributes:
-        at_s: When it was first sent, s after the beginning of the log.
-        command: Its name.
-        arguments: The arguments of the request, by name.
-        outcome: Name of the code it was answered with, or that it asks for no answer; None: no
-            answer is in the log.
-        after_s: Until the answer came, s; None without one.
-    """
-
-    at_s: float
-    command: str
-    arguments: dict[str, Any]
+    at_s: float  #: When it was first sent, s after the beginning of the log.
+    command: str  #: Its name.
+    arguments: dict[str, Any]  #: The arguments of the request, by name.
+    #: Name of the code it was answered with, or that it asks for no answer; None: no answer is in
+    #: the log.
     outcome: str | None
-    after_s: float | None
+    after_s: float | None  #: Until the answer came, s; None without one.
 
     def __str__(self) -> str:
         said = " ".join(f"{name}={value}" for name, value in self.arguments.items())
@@ -181,31 +168,19 @@ _MISSIONS = {"waypoint_start_stop", "hotpoint_start", "follow_start"}  # may end
 
 @dataclass
 class Maxima:
-    """The maxima of a flight; None for a value that was never heard.
+    """The maxima of a flight; None for a value that was never heard."""
 
-    Attributes:
-        height_m: Height above the take-off point.
-        distance_m: Horizontal distance from it.
-        ground_speed_m_s: Horizontal speed.
-        climb_m_s, descent_m_s: Vertical speed, both positive.
-        tilt_deg: Of the body against the vertical.
-        silence_s: Between two packages of telemetry.
-        battery_first_percent, battery_last_percent: Charge when it was first and last heard.
-        track_m: Length of the way over ground.
-        airborne_s: Time off the ground.
-    """
-
-    height_m: float | None = None
-    distance_m: float | None = None
-    ground_speed_m_s: float | None = None
-    climb_m_s: float | None = None
-    descent_m_s: float | None = None
-    tilt_deg: float | None = None
-    silence_s: float | None = None
-    battery_first_percent: int | None = None
-    battery_last_percent: int | None = None
-    track_m: float | None = None
-    airborne_s: float = 0.0
+    height_m: float | None = None  #: Height above the take-off point.
+    distance_m: float | None = None  #: Horizontal distance from it.
+    ground_speed_m_s: float | None = None  #: Horizontal speed.
+    climb_m_s: float | None = None  #: Vertical speed, both positive.
+    descent_m_s: float | None = None  #: Vertical speed, both positive.
+    tilt_deg: float | None = None  #: Of the body against the vertical.
+    silence_s: float | None = None  #: Between two packages of telemetry.
+    battery_first_percent: int | None = None  #: Charge when it was first and last heard.
+    battery_last_percent: int | None = None  #: Charge when it was first and last heard.
+    track_m: float | None = None  #: Length of the way over ground.
+    airborne_s: float = 0.0  #: Time off the ground.
 
     def note(self, name: str, value: float) -> None:
         """Keep the larger one."""
@@ -216,70 +191,54 @@ class Maxima:
 
 @dataclass
 class Curves:
-    """Values over time, thinned: see :class:`m100link.log.channels.Curve`.
+    """Values over time, thinned: see :class:`m100link.log.channels.Curve`."""
 
-    Attributes:
-        height_m, ground_speed_m_s, climb_m_s, battery_percent: As in telemetry.
-        sent_height_m, sent_speed_m_s, sent_climb_m_s: Of the setpoints that ask for such a value.
-        packages_per_s: Telemetry packages that came in each second.
-        discarded_bytes_per_s, round_trip_ms: Of the line.
-    """
-
-    height_m: Curve = field(default_factory=Curve)
-    ground_speed_m_s: Curve = field(default_factory=Curve)
-    climb_m_s: Curve = field(default_factory=Curve)
+    height_m: Curve = field(default_factory=Curve)  #: As in telemetry.
+    ground_speed_m_s: Curve = field(default_factory=Curve)  #: As in telemetry.
+    climb_m_s: Curve = field(default_factory=Curve)  #: As in telemetry.
+    #: Of the setpoints that ask for such a value.
     sent_height_m: Curve = field(default_factory=lambda: Curve(_STREAM_GAP_S))
+    #: Of the setpoints that ask for such a value.
     sent_speed_m_s: Curve = field(default_factory=lambda: Curve(_STREAM_GAP_S))
+    #: Of the setpoints that ask for such a value.
     sent_climb_m_s: Curve = field(default_factory=lambda: Curve(_STREAM_GAP_S))
-    battery_percent: Curve = field(default_factory=lambda: Curve(gap_s=10.0))
+    battery_percent: Curve = field(default_factory=lambda: Curve(gap_s=10.0))  #: As in telemetry.
+    #: Telemetry packages that came in each second.
     packages_per_s: Curve = field(default_factory=Curve)
-    discarded_bytes_per_s: Curve = field(default_factory=Curve)
-    round_trip_ms: Curve = field(default_factory=lambda: Curve(gap_s=10.0))
+    discarded_bytes_per_s: Curve = field(default_factory=Curve)  #: Of the line.
+    round_trip_ms: Curve = field(default_factory=lambda: Curve(gap_s=10.0))  #: Of the line.
 
 
 @dataclass
 class FlightSummary:
-    """The summary of a flight; times are s after the beginning of the log.
+    """The summary of a flight; times are s after the beginning of the log."""
 
-    Attributes:
-        name: Name of the file.
-        began_utc: POSIX time of the beginning, s; None when nothing is in the log.
-        duration_s: How long it is.
-        firmware: Name of the profile; None when it was never known: there is no telemetry then.
-        packages: Telemetry packages.
-        phases: ``ground``, ``take-off``, ``flight``, ``landing``, ``unknown``.
-        control: The owner of control authority: ``pilot``, ``app``, ``program``.
-        alarms: The alarms that the console would have shown, by the same names.
-        commands: The requests, and the answers; setpoints and questions apart.
-        streams: When setpoints and the like were sent.
-        repeats: Commands that were sent again because no answer came.
-        discarded_bytes: Received bytes that belonged to no frame.
-        lost_share: Part of the aircraft's frames that never came whole, 0 to 1; None: unknown.
-        line: The last counters of the link, as :class:`~m100link.LinkStatistics` has them.
-        ended: Why the connection ended; None when the log does not say it.
-        maxima: The largest of everything.
-        curves: Values over time.
-        path: Where it flew and took off.
-    """
-
-    name: str
+    name: str  #: Name of the file.
+    #: POSIX time of the beginning, s; None when nothing is in the log.
     began_utc: float | None = None
-    duration_s: float = 0.0
+    duration_s: float = 0.0  #: How long it is.
+    #: Name of the profile; None when it was never known: there is no telemetry then.
     firmware: str | None = None
-    packages: int = 0
+    packages: int = 0  #: Telemetry packages.
+    #: ``ground``, ``take-off``, ``flight``, ``landing``, ``unknown``.
     phases: list[Span] = field(default_factory=list)
+    #: The owner of control authority: ``pilot``, ``app``, ``program``.
     control: list[Span] = field(default_factory=list)
+    #: The alarms that the console would have shown, by the same names.
     alarms: list[Span] = field(default_factory=list)
+    #: The requests, and the answers; setpoints and questions apart.
     commands: list[Moment] = field(default_factory=list)
-    streams: list[Span] = field(default_factory=list)
-    repeats: int = 0
-    discarded_bytes: int = 0
+    streams: list[Span] = field(default_factory=list)  #: When setpoints and the like were sent.
+    repeats: int = 0  #: Commands that were sent again because no answer came.
+    discarded_bytes: int = 0  #: Received bytes that belonged to no frame.
+    #: Part of the aircraft's frames that never came whole, 0 to 1; None: unknown.
     lost_share: float | None = None
+    #: The last counters of the link, as :class:`~m100link.LinkStatistics` has them.
     line: dict[str, Any] = field(default_factory=dict)
-    ended: str | None = None
-    maxima: Maxima = field(default_factory=Maxima)
-    curves: Curves = field(default_factory=Curves)
-    path: FlightPath = field(default_factory=FlightPath)
+    ended: str | None = None  #: Why the connection ended; None when the log does not say it.
+    maxima: Maxima = field(default_factory=Maxima)  #: The largest of everything.
+    curves: Curves = field(default_factory=Curves)  #: Values over time.
+    path: FlightPath = field(default_factory=FlightPath)  #: Where it flew and took off.
 
     @property
     def track(self) -> Track:
