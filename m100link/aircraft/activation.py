@@ -24,19 +24,12 @@ _PAUSE = 2.0
 
 @dataclass(frozen=True, slots=True)
 class ActivationProgress:
-    """Where an activation stands.
+    """Where an activation stands."""
 
-    Attributes:
-        attempt: Number of the attempt, from 1.
-        code: Answer of the aircraft to it.
-        next_attempt_in: Seconds until the next one, None after the last.
-        remaining: Seconds until the whole activation gives up.
-    """
-
-    attempt: int
-    code: ActivationCode
-    next_attempt_in: float | None
-    remaining: float
+    attempt: int  #: Number of the attempt, from 1.
+    code: ActivationCode  #: Answer of the aircraft to it.
+    next_attempt_in: float | None  #: Seconds until the next one, None after the last.
+    remaining: float  #: Seconds until the whole activation gives up.
 
 
 async def activate(

@@ -57,29 +57,18 @@ _logger = logging.getLogger(__name__)
 
 
 class ConnectionEvent(NamedTuple):
-    """Something happened to the connection.
+    """Something happened to the connection."""
 
-    Attributes:
-        is_connected: Whether the line is open now.
-        error: Why it is not; None while it is.
-    """
-
-    is_connected: bool
-    error: LinkError | None
+    is_connected: bool  #: Whether the line is open now.
+    error: LinkError | None  #: Why it is not; None while it is.
 
 
 class AuthorityEvent(NamedTuple):
-    """Control authority passed from one state to another.
+    """Control authority passed from one state to another."""
 
-    Attributes:
-        before: State before.
-        after: State now.
-        reason: Why it was lost or paused.
-    """
-
-    before: AuthorityState
-    after: AuthorityState
-    reason: LossReason
+    before: AuthorityState  #: State before.
+    after: AuthorityState  #: State now.
+    reason: LossReason  #: Why it was lost or paused.
 
 
 # -- aircraft --------------------------------------------------------------------------------------

@@ -156,33 +156,20 @@ class BackOff:
 
 
 class SupervisionEvent(NamedTuple):
-    """The connection passed from one state to another.
+    """The connection passed from one state to another."""
 
-    Attributes:
-        before: State before.
-        after: State now.
-        error: Why, where something failed.
-        next_attempt_in: Seconds until the next attempt, while one is waited for.
-    """
-
-    before: SupervisionState
-    after: SupervisionState
-    error: M100Error | None
-    next_attempt_in: float | None
+    before: SupervisionState  #: State before.
+    after: SupervisionState  #: State now.
+    error: M100Error | None  #: Why, where something failed.
+    next_attempt_in: float | None  #: Seconds until the next attempt, while one is waited for.
 
 
 class Gap(NamedTuple):
-    """Stands in a stream of telemetry for the time without a connection.
+    """Stands in a stream of telemetry for the time without a connection."""
 
-    Attributes:
-        lost_at: Time of the event loop when the stream ended, s.
-        back_at: When it went on, s.
-        error: Why it had ended.
-    """
-
-    lost_at: float
-    back_at: float
-    error: M100Error
+    lost_at: float  #: Time of the event loop when the stream ended, s.
+    back_at: float  #: When it went on, s.
+    error: M100Error  #: Why it had ended.
 
 
 # -- supervising -----------------------------------------------------------------------------------

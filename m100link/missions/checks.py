@@ -304,19 +304,13 @@ CAMERA_S = 1.5  # a photograph, and the beginning and end of a video
 
 @dataclass(frozen=True, slots=True)
 class PlanEstimate:
-    """Rough length and duration of a plan.
+    """Rough length and duration of a plan."""
 
-    Attributes:
-        length_m: Metres flown: each run, and the ways before and behind that are known.
-        duration_s: Seconds; infinite for a plan that only the pilot's stick moves.
-        battery_percent: Of a full battery, more than 100 if one is not enough; infinite likewise.
-        hover_minutes: How long a full one was taken to last.
-    """
-
-    length_m: float
-    duration_s: float
+    length_m: float  #: Metres flown: each run, and the ways before and behind that are known.
+    duration_s: float  #: Seconds; infinite for a plan that only the pilot's stick moves.
+    #: Of a full battery, more than 100 if one is not enough; infinite likewise.
     battery_percent: float
-    hover_minutes: float
+    hover_minutes: float  #: How long a full one was taken to last.
 
     def __str__(self) -> str:
         if math.isinf(self.duration_s):

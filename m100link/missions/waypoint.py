@@ -132,13 +132,9 @@ class WaypointAction:
 
 @dataclass(frozen=True, slots=True)
 class Stay(WaypointAction):
-    """Hover at the waypoint.
+    """Hover at the waypoint."""
 
-    Attributes:
-        seconds: 0 to 32.767, to the millisecond.
-    """
-
-    seconds: float
+    seconds: float  #: 0 to 32.767, to the millisecond.
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "seconds", as_rounded(self.seconds, 3))
@@ -161,13 +157,9 @@ class StopVideo(WaypointAction):
 
 @dataclass(frozen=True, slots=True)
 class TurnTo(WaypointAction):
-    """Turn the nose, in the direction that the waypoint names.
+    """Turn the nose, in the direction that the waypoint names."""
 
-    Attributes:
-        heading_deg: -180 to 180°, 90 is east; whole degrees.
-    """
-
-    heading_deg: float
+    heading_deg: float  #: -180 to 180°, 90 is east; whole degrees.
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "heading_deg", as_rounded(self.heading_deg))
@@ -175,13 +167,9 @@ class TurnTo(WaypointAction):
 
 @dataclass(frozen=True, slots=True)
 class GimbalPitch(WaypointAction):
-    """Turn the camera up or down.
+    """Turn the camera up or down."""
 
-    Attributes:
-        pitch_deg: -90 (straight down) to 0° (level); whole degrees.
-    """
-
-    pitch_deg: float
+    pitch_deg: float  #: -90 (straight down) to 0° (level); whole degrees.
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "pitch_deg", as_rounded(self.pitch_deg))
@@ -201,36 +189,27 @@ have one, of which ``__match_args__`` is the name."""
 
 @dataclass(frozen=True, slots=True)
 class Waypoint:
-    """A place that the aircraft flies to, and its actions there.
+    """A place that the aircraft flies to, and its actions there."""
 
-    Attributes:
-        latitude_deg: -89 to 89°, WGS 84, to 1e-12° (0.1 µm).
-        longitude_deg: -180 to 180°, likewise.
-        height: Above the take-off point, -200 to 500 m; single precision.
-        heading_deg: Where the nose points there, -180 to 180°, 90 is east; whole degrees. Flown if
-            the plan says :attr:`Heading.BY_WAYPOINT`.
-        damping: How far from the point its corner begins and ends, 0.2 to 1000 m, or 0 for a
-            corner without a curve. Flown if the plan says :attr:`Trace.COORDINATED_TURNS`, and not
-            at the first and last point.
-        gimbal_pitch_deg: Of the camera, -90 (straight down) to 0°; whole degrees. Flown if the plan
-            says ``gimbal_by_waypoint``.
-        turn_clockwise: Direction of the turns at this point, seen from above.
-        actions: Actions there, in this order, 15 at most.
-        action_repeat: How many times the list of actions is gone through, 0 to 15; 0 is once.
-        action_time_limit: Seconds after which what is left of the actions is given up, 0 to 999;
-            None is no limit.
-    """
-
-    latitude_deg: float
-    longitude_deg: float
-    height: float
+    latitude_deg: float  #: -89 to 89°, WGS 84, to 1e-12° (0.1 µm).
+    longitude_deg: float  #: -180 to 180°, likewise.
+    height: float  #: Above the take-off point, -200 to 500 m; single precision.
     _: KW_ONLY
+    #: Where the nose points there, -180 to 180°, 90 is east; whole degrees. Flown if the plan says
+    #: :attr:`Heading.BY_WAYPOINT`.
     heading_deg: float = 0
+    #: How far from the point its corner begins and ends, 0.2 to 1000 m, or 0 for a corner without a
+    #: curve. Flown if the plan says :attr:`Trace.COORDINATED_TURNS`, and not at the first and last
+    #: point.
     damping: float = 0.0
+    #: Of the camera, -90 (straight down) to 0°; whole degrees. Flown if the plan says
+    #: ``gimbal_by_waypoint``.
     gimbal_pitch_deg: float = 0
-    turn_clockwise: bool = True
-    actions: Sequence[WaypointAction] = ()
+    turn_clockwise: bool = True  #: Direction of the turns at this point, seen from above.
+    actions: Sequence[WaypointAction] = ()  #: Actions there, in this order, 15 at most.
+    #: How many times the list of actions is gone through, 0 to 15; 0 is once.
     action_repeat: int = 1
+    #: Seconds after which what is left of the actions is given up, 0 to 999; None is no limit.
     action_time_limit: float | None = 999
 
     def __post_init__(self) -> None:

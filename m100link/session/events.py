@@ -23,33 +23,20 @@ class SessionMode(Enum):
 
 
 class Acked(NamedTuple):
-    """A request was answered.
+    """A request was answered."""
 
-    Attributes:
-        token: What :meth:`Sender.request` returned.
-        payload: The data of the ack.
-        encrypted: Whether the ack travelled encrypted.
-    """
-
-    token: int
-    payload: bytes
-    encrypted: bool
+    token: int  #: What :meth:`Sender.request` returned.
+    payload: bytes  #: The data of the ack.
+    encrypted: bool  #: Whether the ack travelled encrypted.
 
 
 class Expired(NamedTuple):
-    """A request ran out of tries; its outcome is unknown.
+    """A request ran out of tries; its outcome is unknown."""
 
-    Attributes:
-        token: What :meth:`Sender.request` returned.
-        session: Session it used.
-        sequence: Its sequence number.
-        tries: Transmissions made.
-    """
-
-    token: int
-    session: int
-    sequence: int
-    tries: int
+    token: int  #: What :meth:`Sender.request` returned.
+    session: int  #: Session it used.
+    sequence: int  #: Its sequence number.
+    tries: int  #: Transmissions made.
 
 
 Event = Acked | Expired | Frame
@@ -59,33 +46,19 @@ that is not 0, its sender wants an ack."""
 
 @dataclass(slots=True)
 class SessionStatistics:
-    """Counters of one end of the line.
+    """Counters of one end of the line."""
 
-    Attributes:
-        requests: Requests transmitted at least once.
-        transmissions: Transmissions of them, repeats included.
-        acks: Acks that answered a request.
-        duplicate_acks: Acks of a request that was answered before.
-        late_acks: Acks of a request that had expired or was abandoned.
-        foreign_acks: Acks of nothing that this end sent lately.
-        expired: Requests that ran out of tries.
-        commands: Commands and pushes delivered.
-        repeated_commands: Repeats answered from the stored ack, not executed again.
-        unanswered_repeats: Repeats of a command whose ack is still being made.
-        stale_replies: Replies to a command that a newer one had replaced.
-    """
-
-    requests: int = 0
-    transmissions: int = 0
-    acks: int = 0
-    duplicate_acks: int = 0
-    late_acks: int = 0
-    foreign_acks: int = 0
-    expired: int = 0
-    commands: int = 0
-    repeated_commands: int = 0
-    unanswered_repeats: int = 0
-    stale_replies: int = 0
+    requests: int = 0  #: Requests transmitted at least once.
+    transmissions: int = 0  #: Transmissions of them, repeats included.
+    acks: int = 0  #: Acks that answered a request.
+    duplicate_acks: int = 0  #: Acks of a request that was answered before.
+    late_acks: int = 0  #: Acks of a request that had expired or was abandoned.
+    foreign_acks: int = 0  #: Acks of nothing that this end sent lately.
+    expired: int = 0  #: Requests that ran out of tries.
+    commands: int = 0  #: Commands and pushes delivered.
+    repeated_commands: int = 0  #: Repeats answered from the stored ack, not executed again.
+    unanswered_repeats: int = 0  #: Repeats of a command whose ack is still being made.
+    stale_replies: int = 0  #: Replies to a command that a newer one had replaced.
 
 
 # -- how long answers take on a line, and how long they are therefore waited for ------------------
