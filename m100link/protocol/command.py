@@ -35,17 +35,11 @@ class Address(NamedTuple):
 
 
 class Problem(NamedTuple):
-    """A value outside its documented range.
+    """A value outside its documented range."""
 
-    Attributes:
-        field: Name of the field on the wire.
-        value: Its value.
-        limit: The permitted values, in words.
-    """
-
-    field: str
-    value: Any
-    limit: str
+    field: str  #: Name of the field on the wire.
+    value: Any  #: Its value.
+    limit: str  #: The permitted values, in words.
 
     def __str__(self) -> str:
         return f"{self.field} is {self.value!r}, allowed: {self.limit}"
@@ -261,17 +255,11 @@ class Notification(Command):
 
 @dataclass(frozen=True, slots=True)
 class Unrecognised:
-    """A command or push that cannot be read.
+    """A command or push that cannot be read."""
 
-    Attributes:
-        address: Set and id, or None when there are fewer than two bytes.
-        value: The bytes behind them.
-        reason: Why it could not be read.
-    """
-
-    address: Address | None
-    value: bytes
-    reason: str
+    address: Address | None  #: Set and id, or None when there are fewer than two bytes.
+    value: bytes  #: The bytes behind them.
+    reason: str  #: Why it could not be read.
 
 
 def field_names(command: Command) -> list[str]:

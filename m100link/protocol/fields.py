@@ -36,24 +36,16 @@ _SHOWN: dict[str, tuple[str, float]] = {
 
 
 class Number(NamedTuple):
-    """One number.
+    """One number."""
 
-    Attributes:
-        name: Name of the field.
-        format: Its letter in :mod:`struct`.
-        low, high: Documented range, inclusive; without one whatever fits.
-        unit: Unit on the wire.
-        words: Meanings of the numbers of a choice, from 0 on; no other number is legal.
-        besides: Legal values outside the range.
-    """
-
-    name: str
-    format: str = "B"
-    low: float = -math.inf
-    high: float = math.inf
-    unit: str = ""
+    name: str  #: Name of the field.
+    format: str = "B"  #: Its letter in :mod:`struct`.
+    low: float = -math.inf  #: Documented range, inclusive; without one whatever fits.
+    high: float = math.inf  #: Documented range, inclusive; without one whatever fits.
+    unit: str = ""  #: Unit on the wire.
+    #: Meanings of the numbers of a choice, from 0 on; no other number is legal.
     words: tuple[str, ...] = ()
-    besides: tuple[float, ...] = ()
+    besides: tuple[float, ...] = ()  #: Legal values outside the range.
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -127,17 +119,11 @@ def _bounds(number: Number) -> tuple[float, float]:
 
 
 class Numbers(NamedTuple):
-    """Several numbers of one kind.
+    """Several numbers of one kind."""
 
-    Attributes:
-        name: Name of the field, which is a tuple.
-        many: How many.
-        each: One of them; its name does not matter.
-    """
-
-    name: str
-    many: int
-    each: Number
+    name: str  #: Name of the field, which is a tuple.
+    many: int  #: How many.
+    each: Number  #: One of them; its name does not matter.
 
     @property
     def format(self) -> str:
@@ -178,14 +164,10 @@ class Numbers(NamedTuple):
 
 
 class Nibbles(NamedTuple):
-    """Two numbers of four bits in one byte.
+    """Two numbers of four bits in one byte."""
 
-    Attributes:
-        low, high: Names of the fields in the low and in the high half.
-    """
-
-    low: str
-    high: str
+    low: str  #: Names of the fields in the low and in the high half.
+    high: str  #: Names of the fields in the low and in the high half.
 
     @property
     def format(self) -> str:
@@ -229,13 +211,9 @@ class Nibbles(NamedTuple):
 
 
 class Reserved(NamedTuple):
-    """Bytes that are sent as zero and ignored: DJI's programs leave uninitialised memory there.
+    """Bytes that are sent as zero and ignored: DJI's programs leave uninitialised memory there."""
 
-    Attributes:
-        many: How many.
-    """
-
-    many: int
+    many: int  #: How many.
 
     @property
     def format(self) -> str:

@@ -38,19 +38,13 @@ __all__ = [
 
 @quick
 class Time(NamedTuple):
-    """Clock of the aircraft.
+    """Clock of the aircraft."""
 
-    Attributes:
-        tick: Counter since power-on, wraps at 2³².
-        nanoseconds: Nanosecond field of firmware 3.1; its relation to the tick is undocumented.
-        sync: Sync flag of firmware 3.1; the Matrice 100 has no sync output.
-        tick_hz: Ticks per second, 600 or 400 by firmware.
-    """
-
-    tick: int
+    tick: int  #: Counter since power-on, wraps at 2³².
+    #: Nanosecond field of firmware 3.1; its relation to the tick is undocumented.
     nanoseconds: int | None
-    sync: int | None
-    tick_hz: int
+    sync: int | None  #: Sync flag of firmware 3.1; the Matrice 100 has no sync output.
+    tick_hz: int  #: Ticks per second, 600 or 400 by firmware.
 
     @property
     def seconds(self) -> float:
@@ -60,19 +54,12 @@ class Time(NamedTuple):
 
 @quick
 class Attitude(NamedTuple):
-    """Attitude as a unit quaternion from ground (north-east-down) to body (forward-right-down).
+    """Attitude as a unit quaternion from ground (north-east-down) to body (forward-right-down)."""
 
-    Attributes:
-        q0: Scalar part. Level and facing north is (1, 0, 0, 0).
-        q1: Forward axis.
-        q2: Right axis.
-        q3: Down axis.
-    """
-
-    q0: float
-    q1: float
-    q2: float
-    q3: float
+    q0: float  #: Scalar part. Level and facing north is (1, 0, 0, 0).
+    q1: float  #: Forward axis.
+    q2: float  #: Right axis.
+    q3: float  #: Down axis.
 
     @property
     def roll_deg(self) -> float:
@@ -251,21 +238,14 @@ _MAX_LATITUDE_RAD = math.radians(89.0)
 
 @quick
 class Position(NamedTuple):
-    """Position by GPS and barometer.
+    """Position by GPS and barometer."""
 
-    Attributes:
-        latitude_rad: WGS 84 latitude, as on the wire.
-        longitude_rad: WGS 84 longitude, as on the wire.
-        altitude_m: Barometric altitude.
-        height_m: Height above the take-off point; meaningless before the first take-off.
-        gps_health: 0 to 5; from 3 on good enough for position control. None under
-            ``1.0-document``, whose table has no such byte.
-    """
-
-    latitude_rad: float
-    longitude_rad: float
-    altitude_m: float
-    height_m: float
+    latitude_rad: float  #: WGS 84 latitude, as on the wire.
+    longitude_rad: float  #: WGS 84 longitude, as on the wire.
+    altitude_m: float  #: Barometric altitude.
+    height_m: float  #: Height above the take-off point; meaningless before the first take-off.
+    #: 0 to 5; from 3 on good enough for position control. None under ``1.0-document``, whose table
+    #: has no such byte.
     gps_health: int | None
 
     @property
@@ -409,14 +389,10 @@ class Device(IntEnum):
 
 @quick
 class ControlDevice(NamedTuple):
-    """The device that controls the aircraft (CTRL_DEVICE).
+    """The device that controls the aircraft (CTRL_DEVICE)."""
 
-    Attributes:
-        control: Raw byte: a number in firmware 1.0, bit fields later (errata 47).
-        mode: Present control mode of firmware 3.1 (0 none, 1 to 14 as the setpoints), else None.
-    """
-
-    control: int
+    control: int  #: Raw byte: a number in firmware 1.0, bit fields later (errata 47).
+    #: Present control mode of firmware 3.1 (0 none, 1 to 14 as the setpoints), else None.
     mode: int | None
 
     @property

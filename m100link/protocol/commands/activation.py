@@ -83,19 +83,12 @@ class Credentials:
 
 @dataclass(frozen=True, slots=True)
 class Version:
-    """Answer to the version query.
+    """Answer to the version query."""
 
-    Attributes:
-        code: Whether the aircraft is activated; the rest is filled in either way.
-        crc: Checksum that the aircraft gives for ``name``.
-        name: Version text, such as ``SDK-v1.0 BETA M100-03.01.01.00``.
-        serial: Hardware serial, firmware 3.1 only.
-    """
-
-    code: VersionCode
-    crc: int
-    name: str
-    serial: str | None = None
+    code: VersionCode  #: Whether the aircraft is activated; the rest is filled in either way.
+    crc: int  #: Checksum that the aircraft gives for ``name``.
+    name: str  #: Version text, such as ``SDK-v1.0 BETA M100-03.01.01.00``.
+    serial: str | None = None  #: Hardware serial, firmware 3.1 only.
 
     @property
     def is_activated(self) -> bool:
@@ -176,22 +169,15 @@ class GetVersion(Request[Version], address=(0x00, 0x00), needs_activation=False)
 
 @dataclass(frozen=True, slots=True)
 class Activate(Request[ActivationCode], address=(0x00, 0x01), needs_activation=False):
-    """0x00/0x01, activate API; always sent plain.
-
-    Attributes:
-        app_id: App id.
-        level: Authorization level; firmware 3.1 ignores it.
-        version: The app's own version, or the firmware's version word (``activation_version``).
-        bundle_id: 32 bytes, NUL padded.
-    """
+    """0x00/0x01, activate API; always sent plain."""
 
     ACK_IS_PLAIN: ClassVar[bool] = True
     UNREADABLE: ClassVar[AckCode] = ActivationCode.INVALID_PARAMETERS
 
-    app_id: int
-    level: int
-    version: int
-    bundle_id: str
+    app_id: int  #: App id.
+    level: int  #: Authorization level; firmware 3.1 ignores it.
+    version: int  #: The app's own version, or the firmware's version word (``activation_version``).
+    bundle_id: str  #: 32 bytes, NUL padded.
 
     @classmethod
     def from_credentials(cls, credentials: Credentials, profile: FirmwareProfile) -> Self:
@@ -228,16 +214,13 @@ _RATE_BYTES = 16
 class SetTelemetryRates(
     Request[RatesCode], address=(0x00, 0x10), since=Generation.V3_1, needs_activation=False
 ):
-    """0x00/0x10, telemetry rates (firmware 3.1; earlier ones are set in the PC assistant).
-
-    Attributes:
-        rates_hz: Rate per item name, 0, 1, 10, 50 or 100 Hz; an item left out keeps its rate.
-        as_sent: The 16 bytes of another program that cannot be said in rates; None elsewhere.
-    """
+    """0x00/0x10, telemetry rates (firmware 3.1; earlier ones are set in the PC assistant)."""
 
     UNREADABLE: ClassVar[AckCode] = RatesCode.INVALID_PARAMETERS
 
+    #: Rate per item name, 0, 1, 10, 50 or 100 Hz; an item left out keeps its rate.
     rates_hz: dict[str, int] = field(default_factory=dict)
+    #: The 16 bytes of another program that cannot be said in rates; None elsewhere.
     as_sent: bytes | None = None
 
     def value(self, profile: FirmwareProfile) -> bytes:

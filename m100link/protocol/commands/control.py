@@ -53,19 +53,14 @@ class Task(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class StartTask(Laid, Request[TaskStartCode], address=(0x01, 0x01), level=2, encrypted=True):
-    """0x01/0x01, begin take-off, landing or go-home.
-
-    Attributes:
-        task_sequence: Number of this command, 0 to 255; the result is asked for by it.
-        task: The task as its number; numbers outside :class:`Task` are kept and rejected.
-    """
+    """0x01/0x01, begin take-off, landing or go-home."""
 
     ACK_CODE_SIZES: ClassVar[tuple[int, ...]] = (1, 2)
     UNREADABLE: ClassVar[AckCode] = TaskStartCode.REJECTED
     LAYOUT: ClassVar[Layout] = Layout(Number("task_sequence"), Number("task"))
 
-    task_sequence: int
-    task: int
+    task_sequence: int  #: Number of this command, 0 to 255; the result is asked for by it.
+    task: int  #: The task as its number; numbers outside :class:`Task` are kept and rejected.
 
     def fields(self) -> dict[str, Any]:
         """With the name of the task."""
@@ -133,13 +128,9 @@ class Move(_MoveFields, Movement, address=(0x01, 0x03), level=2, encrypted=True)
 
 @dataclass(frozen=True, slots=True)
 class Arm(Request[ArmCode], address=(0x01, 0x05), level=2, encrypted=True, since=Generation.V3_1):
-    """0x01/0x05, motors on (True) or off (False); firmware 3.1.
+    """0x01/0x05, motors on (True) or off (False); firmware 3.1."""
 
-    Attributes:
-        on: True or False; another number of another program is kept and refused.
-    """
-
-    on: int
+    on: int  #: True or False; another number of another program is kept and refused.
 
     def value(self, profile: FirmwareProfile) -> bytes:
         """1 arms, 0 disarms.

@@ -42,17 +42,13 @@ def _outside(
 
 @dataclass(frozen=True, slots=True)
 class GimbalSpeed(Push, address=(0x01, 0x1A), level=1, encrypted=True, since=Generation.V2_3):
-    """0x01/0x1A, turn the gimbal; it stops half a second after the last command.
+    """0x01/0x1A, turn the gimbal; it stops half a second after the last command."""
 
-    Attributes:
-        yaw_deg_s, roll_deg_s, pitch_deg_s: -180 to 180 degrees per second, sent in tenths.
-        flags: Bit 7 takes control of the gimbal; without it the aircraft ignores the command. Bit
-            6 ignores the pilot's dial, bit 5 turns yaw back to the centre.
-    """
-
-    yaw_deg_s: float = 0.0
-    roll_deg_s: float = 0.0
-    pitch_deg_s: float = 0.0
+    yaw_deg_s: float = 0.0  #: -180 to 180 degrees per second, sent in tenths.
+    roll_deg_s: float = 0.0  #: -180 to 180 degrees per second, sent in tenths.
+    pitch_deg_s: float = 0.0  #: -180 to 180 degrees per second, sent in tenths.
+    #: Bit 7 takes control of the gimbal; without it the aircraft ignores the command. Bit 6 ignores
+    #: the pilot's dial, bit 5 turns yaw back to the centre.
     flags: int = 0x80
 
     def value(self, profile: FirmwareProfile) -> bytes:
@@ -99,20 +95,15 @@ class GimbalAngleMode(IntFlag):
 
 @dataclass(frozen=True, slots=True)
 class GimbalAngle(Push, address=(0x01, 0x1B), level=1, encrypted=True, since=Generation.V2_3):
-    """0x01/0x1B, point the gimbal within a time.
+    """0x01/0x1B, point the gimbal within a time."""
 
-    Attributes:
-        yaw_deg: -320 to 320 degrees; absolute it counts from north, else from the present angle.
-        roll_deg: -35 to 35 degrees.
-        pitch_deg: -90 (straight down) to 30 degrees.
-        mode: Bits of :class:`GimbalAngleMode`; other bits are shown and never sent.
-        duration_s: 0.1 to 25.5 seconds; faster than 400 degrees per second is discouraged.
-    """
-
+    #: -320 to 320 degrees; absolute it counts from north, else from the present angle.
     yaw_deg: float = 0.0
-    roll_deg: float = 0.0
-    pitch_deg: float = 0.0
+    roll_deg: float = 0.0  #: -35 to 35 degrees.
+    pitch_deg: float = 0.0  #: -90 (straight down) to 30 degrees.
+    #: Bits of :class:`GimbalAngleMode`; other bits are shown and never sent.
     mode: int = GimbalAngleMode.ABSOLUTE
+    #: 0.1 to 25.5 seconds; faster than 400 degrees per second is discouraged.
     duration_s: float = 1.0
 
     @property

@@ -25,17 +25,12 @@ _CLOCKWISE = Number("clockwise", words=("counter_clockwise", "clockwise"))
 
 @dataclass(frozen=True, slots=True)
 class HotpointStartAnswer(Answer):
-    """Ack of a start.
-
-    Attributes:
-        code: The code.
-        largest_radius: Metres that the limits of the aircraft leave.
-    """
+    """Ack of a start."""
 
     LAYOUT: ClassVar[Layout] = Layout(Number("largest_radius", "f", unit="m"))
 
-    code: MissionCode
-    largest_radius: float = 0.0
+    code: MissionCode  #: The code.
+    largest_radius: float = 0.0  #: Metres that the limits of the aircraft leave.
 
     def _tail_raw(self) -> dict[str, Any]:
         return {"max_radius": self.largest_radius}  # DJI's name for it
@@ -43,21 +38,7 @@ class HotpointStartAnswer(Answer):
 
 @dataclass(frozen=True, slots=True)
 class HotpointStart(Laid, MissionRequest[HotpointStartAnswer], address=(0x03, 0x20), moves=True):
-    """0x03/0x20, circle around a point, at once.
-
-    Attributes:
-        latitude, longitude: The centre in radians.
-        altitude: 5 to 500 m above the take-off point, not above the sea.
-        radius: 5 to 500 m.
-        angular_rate: 0 to 30 degrees per second; the aircraft refuses more than about 10 m/s along
-            the circle.
-        clockwise: 1 clockwise seen from above, 0 counter-clockwise.
-        start_point: Where the circle is entered: 0 north, 1 south, 2 west, 3 east of the centre,
-            4 at the nearest place.
-        yaw_mode: 0 nose along the path, 1 to the centre, 2 outwards, 3 by the remote control, 4 as
-            at the start.
-        version: 0.
-    """
+    """0x03/0x20, circle around a point, at once."""
 
     LAYOUT: ClassVar[Layout] = Layout(
         Number("version", "B", 0, 0),
@@ -72,15 +53,20 @@ class HotpointStart(Laid, MissionRequest[HotpointStartAnswer], address=(0x03, 0x
         Reserved(11),
     )
 
-    latitude: float
-    longitude: float
-    altitude: float
-    radius: float
+    latitude: float  #: The centre in radians.
+    longitude: float  #: The centre in radians.
+    altitude: float  #: 5 to 500 m above the take-off point, not above the sea.
+    radius: float  #: 5 to 500 m.
+    #: 0 to 30 degrees per second; the aircraft refuses more than about 10 m/s along the circle.
     angular_rate: float
-    clockwise: int = 1
+    clockwise: int = 1  #: 1 clockwise seen from above, 0 counter-clockwise.
+    #: Where the circle is entered: 0 north, 1 south, 2 west, 3 east of the centre, 4 at the nearest
+    #: place.
     start_point: int = 4
+    #: 0 nose along the path, 1 to the centre, 2 outwards, 3 by the remote control, 4 as at the
+    #: start.
     yaw_mode: int = 1
-    version: int = 0
+    version: int = 0  #: 0.
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,30 +81,21 @@ class HotpointPauseResume(PauseResume, address=(0x03, 0x22)):
 
 @dataclass(frozen=True, slots=True)
 class HotpointSetRate(Laid, Unconfirmed, address=(0x03, 0x23)):
-    """0x03/0x23, change direction and rate.
-
-    Attributes:
-        clockwise: 1 clockwise seen from above, 0 counter-clockwise.
-        angular_rate: 0 to 30 degrees per second.
-    """
+    """0x03/0x23, change direction and rate."""
 
     LAYOUT: ClassVar[Layout] = Layout(_CLOCKWISE, _RATE)
 
-    clockwise: int
-    angular_rate: float
+    clockwise: int  #: 1 clockwise seen from above, 0 counter-clockwise.
+    angular_rate: float  #: 0 to 30 degrees per second.
 
 
 @dataclass(frozen=True, slots=True)
 class HotpointSetRadius(Laid, Unconfirmed, address=(0x03, 0x24)):
-    """0x03/0x24, change the radius.
-
-    Attributes:
-        radius: 5 to 500 m.
-    """
+    """0x03/0x24, change the radius."""
 
     LAYOUT: ClassVar[Layout] = Layout(Number("radius", "f", *_RADIUS, "m"))
 
-    radius: float
+    radius: float  #: 5 to 500 m.
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,15 +105,10 @@ class HotpointResetYaw(AnyByte, Unconfirmed, address=(0x03, 0x25)):
 
 @dataclass(frozen=True, slots=True)
 class HotpointDownloadAnswer(DownloadAnswer[HotpointStart]):
-    """Ack with the circle that the aircraft flies.
+    """Ack with the circle that the aircraft flies."""
 
-    Attributes:
-        code: ``NOT_RUNNING`` when it flies none.
-        hotpoint: The circle, or zeros.
-    """
-
-    code: MissionCode
-    hotpoint: HotpointStart
+    code: MissionCode  #: ``NOT_RUNNING`` when it flies none.
+    hotpoint: HotpointStart  #: The circle, or zeros.
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,17 +118,12 @@ class HotpointDownload(AnyByte, MissionRequest[HotpointDownloadAnswer], address=
 
 @dataclass(frozen=True, slots=True)
 class HotpointAutoRadius(Laid, MissionRequest[MissionCode], address=(0x03, 0x27), moves=True):
-    """0x03/0x27, let the radius change by itself; DJI's documents call it not available.
-
-    Attributes:
-        enable: 1 on, 0 off.
-        rate: How fast; no source states its unit.
-    """
+    """0x03/0x27, let the radius change by itself; DJI's documents call it not available."""
 
     LAYOUT: ClassVar[Layout] = Layout(Number("enable", words=("off", "on")), Number("rate", "b"))
 
-    enable: int
-    rate: int = 0
+    enable: int  #: 1 on, 0 off.
+    rate: int = 0  #: How fast; no source states its unit.
 
 
 # -- following a target: 0x03/0x30 to 0x33 of firmware 3.1 -----------------------------------------
@@ -172,16 +139,7 @@ _TARGET = (
 
 @dataclass(frozen=True, slots=True)
 class FollowStart(Laid, MissionRequest[MissionCode], address=(0x03, 0x30), moves=True):
-    """0x03/0x30, follow a target, at once, keeping the distance of the beginning.
-
-    Attributes:
-        latitude, longitude: The target in radians.
-        altitude: Whole metres above the sea, 0 to 65535; 0 does not follow in height.
-        mode: 0; there is no other.
-        yaw_mode: 1 nose to the target, 0 by the remote control.
-        angle: 0, reserved.
-        sensitivity: DJI's library sends 1, its document says 0; ignored.
-    """
+    """0x03/0x30, follow a target, at once, keeping the distance of the beginning."""
 
     LAYOUT: ClassVar[Layout] = Layout(
         Number("mode", "B", 0, 0),
@@ -190,13 +148,13 @@ class FollowStart(Laid, MissionRequest[MissionCode], address=(0x03, 0x30), moves
         Number("sensitivity", "B", 0, 1),
     )
 
-    latitude: float
-    longitude: float
-    altitude: int = 0
-    mode: int = 0
-    yaw_mode: int = 1
-    angle: int = 0
-    sensitivity: int = 1
+    latitude: float  #: The target in radians.
+    longitude: float  #: The target in radians.
+    altitude: int = 0  #: Whole metres above the sea, 0 to 65535; 0 does not follow in height.
+    mode: int = 0  #: 0; there is no other.
+    yaw_mode: int = 1  #: 1 nose to the target, 0 by the remote control.
+    angle: int = 0  #: 0, reserved.
+    sensitivity: int = 1  #: DJI's library sends 1, its document says 0; ignored.
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,17 +169,11 @@ class FollowPauseResume(PauseResume, address=(0x03, 0x32)):
 
 @dataclass(frozen=True, slots=True)
 class FollowTarget(Laid, Unconfirmed, address=(0x03, 0x33)):
-    """0x03/0x33, where the target is; once to ten times a second.
-
-    Attributes:
-        latitude, longitude: Radians.
-        altitude: Whole metres above the sea, 0 to 65535; 0 does not follow in height.
-        angle: 0, reserved.
-    """
+    """0x03/0x33, where the target is; once to ten times a second."""
 
     LAYOUT: ClassVar[Layout] = Layout(*_TARGET)
 
-    latitude: float
-    longitude: float
-    altitude: int = 0
-    angle: int = 0
+    latitude: float  #: Radians.
+    longitude: float  #: Radians.
+    altitude: int = 0  #: Whole metres above the sea, 0 to 65535; 0 does not follow in height.
+    angle: int = 0  #: 0, reserved.

@@ -55,15 +55,10 @@ class _Reported(Record):
 
 @dataclass(frozen=True, slots=True)
 class OtherKind(_Reported, word="unknown"):
-    """A kind that no source lists.
+    """A kind that no source lists."""
 
-    Attributes:
-        first: The first byte.
-        data: The bytes behind it.
-    """
-
-    first: int
-    data: bytes
+    first: int  #: The first byte.
+    data: bytes  #: The bytes behind it.
 
     @property
     def kind(self) -> int:
@@ -132,22 +127,17 @@ class IocStatus(_LastMission, kind=4, word="ioc"):
 
 @dataclass(frozen=True, slots=True)
 class WaypointStatus(_Reported, kind=1, word="waypoint"):
-    """Kind 1: a waypoint mission.
-
-    Attributes:
-        index: The waypoint that it flies to.
-        status: 0 on the way to the first point, 1 flying, 2 turning, 3 an action begins, 4 in an
-            action, 5 first point reached or action finished, 6 reached.
-        error: A :class:`~m100link.protocol.MissionCode`.
-    """
+    """Kind 1: a waypoint mission."""
 
     LAYOUT: ClassVar[Layout] = Layout(
         Number("index"), Number("status"), Number("error"), Reserved(2)
     )
 
-    index: int
+    index: int  #: The waypoint that it flies to.
+    #: 0 on the way to the first point, 1 flying, 2 turning, 3 an action begins, 4 in an action, 5
+    #: first point reached or action finished, 6 reached.
     status: int = 0
-    error: int = 0
+    error: int = 0  #: A :class:`~m100link.protocol.MissionCode`.
 
     def shown(self) -> dict[str, Any]:
         """The status in words, and what the error means."""
@@ -160,14 +150,7 @@ class WaypointStatus(_Reported, kind=1, word="waypoint"):
 
 @dataclass(frozen=True, slots=True)
 class HotpointStatus(_Reported, kind=2, word="hotpoint"):
-    """Kind 2: a hotpoint.
-
-    Attributes:
-        status: 0 on the way to the start, 1 circling, 2 paused.
-        radius_cm: Present distance from the centre, 655 m at most.
-        reason: A :class:`~m100link.protocol.MissionCode`.
-        rate: Present rate in tenths of a degree per second, 25.5 °/s at most.
-    """
+    """Kind 2: a hotpoint."""
 
     LAYOUT: ClassVar[Layout] = Layout(
         Number("status"),
@@ -176,10 +159,10 @@ class HotpointStatus(_Reported, kind=2, word="hotpoint"):
         Number("rate", unit="0.1 °/s"),
     )
 
-    status: int
-    radius_cm: int = 0
-    reason: int = 0
-    rate: int = 0
+    status: int  #: 0 on the way to the start, 1 circling, 2 paused.
+    radius_cm: int = 0  #: Present distance from the centre, 655 m at most.
+    reason: int = 0  #: A :class:`~m100link.protocol.MissionCode`.
+    rate: int = 0  #: Present rate in tenths of a degree per second, 25.5 °/s at most.
 
     def shown(self) -> dict[str, Any]:
         """Metres, degrees per second, words."""
@@ -214,47 +197,33 @@ def _word(words: tuple[str, ...], number: int) -> str | int:
 
 @dataclass(frozen=True, slots=True)
 class Uploaded(_Reported, kind=0, word="uploaded"):
-    """Kind 0: all waypoints have come and were checked together.
-
-    Attributes:
-        valid: 1 when the mission may be started.
-        estimated_time: Seconds that it will take.
-    """
+    """Kind 0: all waypoints have come and were checked together."""
 
     LAYOUT: ClassVar[Layout] = Layout(
         Number("valid"), Number("estimated_time", "H", unit="s"), Reserved(2)
     )
 
-    valid: int
-    estimated_time: int = 0
+    valid: int  #: 1 when the mission may be started.
+    estimated_time: int = 0  #: Seconds that it will take.
 
 
 @dataclass(frozen=True, slots=True)
 class Finished(_Reported, kind=1, word="finished"):
-    """Kind 1: the last waypoint was reached and its actions are done.
-
-    Attributes:
-        repeat: Runs still to come.
-    """
+    """Kind 1: the last waypoint was reached and its actions are done."""
 
     LAYOUT: ClassVar[Layout] = Layout(Number("repeat"), Reserved(4))
 
-    repeat: int = 0
+    repeat: int = 0  #: Runs still to come.
 
 
 @dataclass(frozen=True, slots=True)
 class Reached(_Reported, kind=2, word="reached"):
-    """Kind 2: a waypoint was reached.
-
-    Attributes:
-        index: Its index.
-        status: 4 before its actions, 6 after them.
-    """
+    """Kind 2: a waypoint was reached."""
 
     LAYOUT: ClassVar[Layout] = Layout(Number("index"), Number("status"), Reserved(3))
 
-    index: int
-    status: int = 6
+    index: int  #: Its index.
+    status: int = 6  #: 4 before its actions, 6 after them.
 
 
 Status: TypeAlias = (
@@ -317,28 +286,21 @@ class MissionStatus(_KindPush, address=(0x02, 0x03)):
     """0x02/0x03, which mission runs and how far it is; about ten times a second.
 
     The box "Ground Station Status" has to be ticked in the PC assistant.
-
-    Attributes:
-        status: The status, by the kind of mission: 0 none, 1 waypoint, 2 hotpoint, 3 follow,
-            4 IOC.
     """
 
     KINDS: ClassVar[tuple[type[_Reported], ...]] = STATUSES
 
+    #: The status, by the kind of mission: 0 none, 1 waypoint, 2 hotpoint, 3 follow, 4 IOC.
     status: Status
 
 
 @dataclass(frozen=True, slots=True)
 class WaypointEvent(_KindPush, address=(0x02, 0x04)):
-    """0x02/0x04, a step of a waypoint mission, sent once.
-
-    Attributes:
-        event: The event, by its kind: 0 uploaded, 1 finished, 2 reached.
-    """
+    """0x02/0x04, a step of a waypoint mission, sent once."""
 
     KINDS: ClassVar[tuple[type[_Reported], ...]] = EVENTS
 
-    event: Event
+    event: Event  #: The event, by its kind: 0 uploaded, 1 finished, 2 reached.
 
     @classmethod
     def parse(cls, value: bytes, profile: FirmwareProfile) -> Self:

@@ -25,16 +25,13 @@ class VirtualRcSettings(Movement, address=(0x05, 0x00), encrypted=True, since=Ge
 
     DJI's header warns that more often locks the aircraft in a loop of checks in which even the mode
     switch does nothing. Bits 2 to 7 are uninitialised in DJI's programs and mean nothing.
-
-    Attributes:
-        is_on: On or off.
-        falls_back: When the channels stop coming the real remote control flies; otherwise the
-            aircraft behaves as if the remote control were lost.
-        rest: Bits 2 to 7 as another program sent them; they have no meaning.
     """
 
-    is_on: bool
+    is_on: bool  #: On or off.
+    #: When the channels stop coming the real remote control flies; otherwise the aircraft behaves
+    #: as if the remote control were lost.
     falls_back: bool = True
+    #: Bits 2 to 7 as another program sent them; they have no meaning.
     rest: int = field(default=0, compare=False)
 
     @property
@@ -72,17 +69,14 @@ class VirtualRcSettings(Movement, address=(0x05, 0x00), encrypted=True, since=Ge
 
 @dataclass(frozen=True, slots=True)
 class VirtualRcData(Laid, Movement, address=(0x05, 0x01), encrypted=True, since=Generation.V3_1):
-    """0x05/0x01, sticks and switches, 2 to 25 times a second; a second without them ends it.
-
-    Attributes:
-        channels: 16 values of 1024 ± 660, the first seven as :data:`CHANNELS` names them. Gear is
-            1684 up and 1324 down; mode is 1552 for P, 1024 for A, 496 for F.
-    """
+    """0x05/0x01, sticks and switches, 2 to 25 times a second; a second without them ends it."""
 
     LAYOUT: ClassVar[Layout] = Layout(
         Numbers("channels", 16, Number("channel", "I", CENTRE - TRAVEL, CENTRE + TRAVEL))
     )
 
+    #: 16 values of 1024 ± 660, the first seven as :data:`CHANNELS` names them. Gear is 1684 up and
+    #: 1324 down; mode is 1552 for P, 1024 for A, 496 for F.
     channels: tuple[int, ...]
 
     def fields(self) -> dict[str, Any]:
@@ -99,16 +93,12 @@ _WITH_TAG = 6
 
 @dataclass(frozen=True, slots=True)
 class Sync(Laid, Push, address=(0x04, 0x00), encrypted=True, since=Generation.V3_1):
-    """0x04/0x00, pulses of a frequency; a Matrice 100 ignores it.
-
-    Attributes:
-        frequency: Hertz; 0 gives a single pulse.
-        tag: Two more bytes that DJI's libraries from 3.3 on send; None without them.
-    """
+    """0x04/0x00, pulses of a frequency; a Matrice 100 ignores it."""
 
     LAYOUT: ClassVar[Layout] = Layout(Number("frequency", "I"))
 
-    frequency: int
+    frequency: int  #: Hertz; 0 gives a single pulse.
+    #: Two more bytes that DJI's libraries from 3.3 on send; None without them.
     tag: int | None = None
 
     def value(self, profile: FirmwareProfile) -> bytes:

@@ -36,22 +36,7 @@ _LARGEST_SPEED = 15.0
 
 @dataclass(frozen=True, slots=True)
 class WaypointMission(Laid, MissionRequest[MissionCode], address=(0x03, 0x10)):
-    """0x03/0x10, begin the upload of a waypoint mission.
-
-    Attributes:
-        count: Waypoints, 2 to 99.
-        max_speed: Largest speed with the pilot's stick, 2 to 15 m/s.
-        idle_speed: Speed without it, at most ``max_speed`` either way.
-        finish_action: 0 hover, 1 go home, 2 land, 3 back to the first point, 4 stay in the mission.
-        repeat: How often it is flown, 1 or 2.
-        yaw_mode: 0 nose along the path, 1 as at the start, 2 by the remote control, 3 as set per
-            point.
-        trace_mode: 0 stop at each point, 1 rounded corners without actions.
-        rc_lost_action: 0 leave the mission for the failsafe, 1 go on.
-        gimbal_pitch_mode: 0 free, 1 as set per point.
-        focus_latitude, focus_longitude, focus_altitude: Radians and metres; the aircraft ignores
-            them.
-    """
+    """0x03/0x10, begin the upload of a waypoint mission."""
 
     LAYOUT: ClassVar[Layout] = Layout(
         Number("count", "B", 2, 99),
@@ -69,18 +54,20 @@ class WaypointMission(Laid, MissionRequest[MissionCode], address=(0x03, 0x10)):
         Reserved(16),
     )
 
-    count: int
-    max_speed: float
-    idle_speed: float
+    count: int  #: Waypoints, 2 to 99.
+    max_speed: float  #: Largest speed with the pilot's stick, 2 to 15 m/s.
+    idle_speed: float  #: Speed without it, at most ``max_speed`` either way.
+    #: 0 hover, 1 go home, 2 land, 3 back to the first point, 4 stay in the mission.
     finish_action: int = 0
-    repeat: int = 1
+    repeat: int = 1  #: How often it is flown, 1 or 2.
+    #: 0 nose along the path, 1 as at the start, 2 by the remote control, 3 as set per point.
     yaw_mode: int = 0
-    trace_mode: int = 0
-    rc_lost_action: int = 0
-    gimbal_pitch_mode: int = 0
-    focus_latitude: float = 0.0
-    focus_longitude: float = 0.0
-    focus_altitude: float = 0.0
+    trace_mode: int = 0  #: 0 stop at each point, 1 rounded corners without actions.
+    rc_lost_action: int = 0  #: 0 leave the mission for the failsafe, 1 go on.
+    gimbal_pitch_mode: int = 0  #: 0 free, 1 as set per point.
+    focus_latitude: float = 0.0  #: Radians and metres; the aircraft ignores them.
+    focus_longitude: float = 0.0  #: Radians and metres; the aircraft ignores them.
+    focus_altitude: float = 0.0  #: Radians and metres; the aircraft ignores them.
 
     def problems(self) -> list[Problem]:
         """With a cruise that is faster than the largest speed."""
@@ -107,17 +94,12 @@ USED_SLOTS = 15  # actions of a point at most, although there are 16 places for 
 
 @dataclass(frozen=True, slots=True)
 class WaypointPointAnswer(Answer):
-    """Ack of a waypoint.
-
-    Attributes:
-        code: Of this waypoint; of the whole mission when it was the last one.
-        index: The waypoint.
-    """
+    """Ack of a waypoint."""
 
     LAYOUT: ClassVar[Layout] = Layout(Number("index"))
 
-    code: MissionCode
-    index: int = 0
+    code: MissionCode  #: Of this waypoint; of the whole mission when it was the last one.
+    index: int = 0  #: The waypoint.
 
     def raw(self) -> dict[str, Any]:
         """A code of one byte: two that look like a system code are code and index as well."""
@@ -126,24 +108,7 @@ class WaypointPointAnswer(Answer):
 
 @dataclass(frozen=True, slots=True)
 class WaypointPoint(Laid, MissionRequest[WaypointPointAnswer], address=(0x03, 0x11)):
-    """0x03/0x11, upload one waypoint. The ack of the last one tells of the whole mission.
-
-    Attributes:
-        index: From 0 on, below the mission's ``count``.
-        latitude, longitude: Radians.
-        altitude: -200 to 500 m above the take-off point.
-        damping: Radius of a rounded corner: 0, or 0.2 to 1000 m.
-        yaw: Heading, -180 to 180 degrees.
-        gimbal_pitch: -90 to 30 degrees.
-        turn_mode: 0 turn clockwise, 1 counter-clockwise.
-        has_action: 1 when the actions count; 0 makes the aircraft ignore them.
-        action_time_limit: Seconds after which all its actions are cut off, 0 to 999; DJI's
-            programs send 65535, too.
-        action_count: How many of the actions count, 0 to 15.
-        action_repeat: How often the list is gone through, 0 to 15.
-        actions: 16 numbers of :data:`ACTIONS`, of which 15 are used.
-        parameters: 16 numbers: milliseconds to stay, or degrees to turn or pitch to.
-    """
+    """0x03/0x11, upload one waypoint. The ack of the last one tells of the whole mission."""
 
     LAYOUT: ClassVar[Layout] = Layout(
         Number("index", "B", 0, 98),
@@ -163,19 +128,22 @@ class WaypointPoint(Laid, MissionRequest[WaypointPointAnswer], address=(0x03, 0x
     )
     DOCUMENT_SIZE: ClassVar[int] = LAYOUT.size - 3
 
-    index: int
-    latitude: float
-    longitude: float
-    altitude: float
-    damping: float = 0.0
-    yaw: int = 0
-    gimbal_pitch: int = 0
-    turn_mode: int = 0
-    has_action: int = 0
+    index: int  #: From 0 on, below the mission's ``count``.
+    latitude: float  #: Radians.
+    longitude: float  #: Radians.
+    altitude: float  #: -200 to 500 m above the take-off point.
+    damping: float = 0.0  #: Radius of a rounded corner: 0, or 0.2 to 1000 m.
+    yaw: int = 0  #: Heading, -180 to 180 degrees.
+    gimbal_pitch: int = 0  #: -90 to 30 degrees.
+    turn_mode: int = 0  #: 0 turn clockwise, 1 counter-clockwise.
+    has_action: int = 0  #: 1 when the actions count; 0 makes the aircraft ignore them.
+    #: Seconds after which all its actions are cut off, 0 to 999; DJI's programs send 65535, too.
     action_time_limit: int = 999
-    action_count: int = 0
-    action_repeat: int = 0
+    action_count: int = 0  #: How many of the actions count, 0 to 15.
+    action_repeat: int = 0  #: How often the list is gone through, 0 to 15.
+    #: 16 numbers of :data:`ACTIONS`, of which 15 are used.
     actions: tuple[int, ...] = (0,) * _SLOTS
+    #: 16 numbers: milliseconds to stay, or degrees to turn or pitch to.
     parameters: tuple[int, ...] = (0,) * _SLOTS
 
     @classmethod
@@ -239,15 +207,10 @@ class WaypointPauseResume(PauseResume, address=(0x03, 0x13)):
 
 @dataclass(frozen=True, slots=True)
 class WaypointMissionAnswer(DownloadAnswer[WaypointMission]):
-    """Ack with the mission that the aircraft has.
+    """Ack with the mission that the aircraft has."""
 
-    Attributes:
-        code: ``NO_MISSION`` when there is none.
-        mission: The mission, or zeros.
-    """
-
-    code: MissionCode
-    mission: WaypointMission
+    code: MissionCode  #: ``NO_MISSION`` when there is none.
+    mission: WaypointMission  #: The mission, or zeros.
 
 
 @dataclass(frozen=True, slots=True)
@@ -257,15 +220,10 @@ class WaypointDownloadMission(AnyByte, MissionRequest[WaypointMissionAnswer], ad
 
 @dataclass(frozen=True, slots=True)
 class WaypointDownloadedPoint(DownloadAnswer[WaypointPoint]):
-    """Ack with one waypoint.
+    """Ack with one waypoint."""
 
-    Attributes:
-        code: ``NO_POINTS`` when it is not there.
-        point: The waypoint, or zeros.
-    """
-
-    code: MissionCode
-    point: WaypointPoint
+    code: MissionCode  #: ``NO_POINTS`` when it is not there.
+    point: WaypointPoint  #: The waypoint, or zeros.
 
 
 @dataclass(frozen=True, slots=True)
@@ -282,30 +240,21 @@ _IDLE_SPEED = Layout(Number("idle_speed", "f", -_LARGEST_SPEED, _LARGEST_SPEED, 
 
 @dataclass(frozen=True, slots=True)
 class IdleSpeedAnswer(Answer):
-    """Ack with the speed in force.
-
-    Attributes:
-        code: ``BAD_SPEED`` beyond the mission's largest speed.
-        idle_speed: m/s.
-    """
+    """Ack with the speed in force."""
 
     LAYOUT: ClassVar[Layout] = _IDLE_SPEED
 
-    code: MissionCode
-    idle_speed: float = 0.0
+    code: MissionCode  #: ``BAD_SPEED`` beyond the mission's largest speed.
+    idle_speed: float = 0.0  #: m/s.
 
 
 @dataclass(frozen=True, slots=True)
 class WaypointSetIdleSpeed(Laid, MissionRequest[IdleSpeedAnswer], address=(0x03, 0x16), moves=True):
-    """0x03/0x16, change the cruise while the mission runs.
-
-    Attributes:
-        idle_speed: -15 to 15 m/s; below 0 the route is flown backwards.
-    """
+    """0x03/0x16, change the cruise while the mission runs."""
 
     LAYOUT: ClassVar[Layout] = _IDLE_SPEED
 
-    idle_speed: float
+    idle_speed: float  #: -15 to 15 m/s; below 0 the route is flown backwards.
 
 
 @dataclass(frozen=True, slots=True)
