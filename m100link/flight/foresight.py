@@ -38,22 +38,15 @@ _STAND = Setpoint.velocity(north=0.0, east=0.0, up=0.0, yaw_rate_deg_s=0.0)
 
 @dataclass(frozen=True, slots=True)
 class Foresight:
-    """A forecast of a closed loop that begins where the aircraft is.
+    """A forecast of a closed loop that begins where the aircraft is."""
 
-    Attributes:
-        distance_m: Of the way, horizontally; 0 while nobody knows where the aircraft is.
-        climb_m: Positive upwards.
-        turn_deg: −180 to 180, positive clockwise.
-        seconds: How long it takes, roughly.
-        battery_percent: The share of a full battery, roughly.
-        refusals: Errors that would refuse it now, with reason and remedy; empty if it may fly.
-    """
-
+    #: Of the way, horizontally; 0 while nobody knows where the aircraft is.
     distance_m: float = 0.0
-    climb_m: float = 0.0
-    turn_deg: float = 0.0
-    seconds: float = 0.0
-    battery_percent: float = 0.0
+    climb_m: float = 0.0  #: Positive upwards.
+    turn_deg: float = 0.0  #: −180 to 180, positive clockwise.
+    seconds: float = 0.0  #: How long it takes, roughly.
+    battery_percent: float = 0.0  #: The share of a full battery, roughly.
+    #: Errors that would refuse it now, with reason and remedy; empty if it may fly.
     refusals: tuple[M100Error, ...] = ()
 
 

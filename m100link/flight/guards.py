@@ -72,17 +72,11 @@ MISSION_MARGIN_M = 5.0  # beyond the envelope a mission is ended: along the edge
 
 @dataclass(frozen=True, slots=True)
 class Envelope:
-    """How far a program may fly.
+    """How far a program may fly."""
 
-    Attributes:
-        max_height_m: Height above the take-off point, m.
-        max_radius_m: Horizontal distance from where control was obtained, m.
-        max_speed_m_s: Horizontal speed of velocity setpoints, m/s.
-    """
-
-    max_height_m: float = 50.0
-    max_radius_m: float = 150.0
-    max_speed_m_s: float = 10.0
+    max_height_m: float = 50.0  #: Height above the take-off point, m.
+    max_radius_m: float = 150.0  #: Horizontal distance from where control was obtained, m.
+    max_speed_m_s: float = 10.0  #: Horizontal speed of velocity setpoints, m/s.
 
     def __post_init__(self) -> None:
         for name in self.__slots__:
@@ -136,27 +130,23 @@ class Envelope:
 
 @dataclass(frozen=True, slots=True)
 class Guards:
-    """Which guards are on.
+    """Which guards are on."""
 
-    Attributes:
-        gps: Velocity and position setpoints need a GPS health of 3 (switch it off to fly them by
-            a Guidance unit).
-        envelope: Limits of height, radius and speed; None switches them off.
-        battery_floor_percent: Below it no take-off and no setpoints; None switches it off.
-        stale_telemetry_s: Control ends when no new telemetry came for so many seconds, or when it
-            comes ever later; None switches it off.
-        integrity: Control ends when the position cannot be true, or nothing begins to follow the
-            setpoints (switch it off for a simulator whose position and velocity disagree).
-        round_trip_s: Flights that are steered by what telemetry shows (``fly_to``, ``fly_path``,
-            ``orbit``, tilt, thrust, sticks) need a line whose answers take no longer, s; None
-            switches it off.
-    """
-
+    #: Velocity and position setpoints need a GPS health of 3 (switch it off to fly them by a
+    #: Guidance unit).
     gps: bool = True
+    #: Limits of height, radius and speed; None switches them off.
     envelope: Envelope | None = Envelope()
+    #: Below it no take-off and no setpoints; None switches it off.
     battery_floor_percent: int | None = 20
+    #: Control ends when no new telemetry came for so many seconds, or when it comes ever later;
+    #: None switches it off.
     stale_telemetry_s: float | None = 1.0
+    #: Control ends when the position cannot be true, or nothing begins to follow the setpoints
+    #: (switch it off for a simulator whose position and velocity disagree).
     integrity: bool = True
+    #: Flights that are steered by what telemetry shows (``fly_to``, ``fly_path``, ``orbit``, tilt,
+    #: thrust, sticks) need a line whose answers take no longer, s; None switches it off.
     round_trip_s: float | None = 0.8
 
 

@@ -30,36 +30,23 @@ _SETTLED_M_S = 0.3
 
 @dataclass(frozen=True, slots=True)
 class GuidanceProgress:
-    """How far a closed loop is.
+    """How far a closed loop is."""
 
-    Attributes:
-        elapsed: Seconds since it began.
-        distance_m: Horizontal distance that remains, m; on an orbit, distance from the circle.
-        height_error_m: Height that remains, m, positive when it has to climb.
-        heading_error_deg: Turn that remains, °, positive clockwise; on an orbit, angle to go.
-    """
-
-    elapsed: float
+    elapsed: float  #: Seconds since it began.
+    #: Horizontal distance that remains, m; on an orbit, distance from the circle.
     distance_m: float
-    height_error_m: float
-    heading_error_deg: float
+    height_error_m: float  #: Height that remains, m, positive when it has to climb.
+    heading_error_deg: float  #: Turn that remains, °, positive clockwise; on an orbit, angle to go.
 
 
 @dataclass(frozen=True, slots=True)
 class Arrival:
-    """How a closed loop ended well (otherwise it raises).
+    """How a closed loop ended well (otherwise it raises)."""
 
-    Attributes:
-        elapsed: Seconds that it took.
-        distance_m: Horizontal distance from the target at the end, m.
-        height_error_m: Height that was missing at the end, m.
-        heading_error_deg: Turn that was missing at the end, °.
-    """
-
-    elapsed: float
-    distance_m: float
-    height_error_m: float
-    heading_error_deg: float
+    elapsed: float  #: Seconds that it took.
+    distance_m: float  #: Horizontal distance from the target at the end, m.
+    height_error_m: float  #: Height that was missing at the end, m.
+    heading_error_deg: float  #: Turn that was missing at the end, °.
 
 
 Progress = Callable[[GuidanceProgress], None]

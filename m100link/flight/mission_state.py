@@ -45,24 +45,18 @@ class MissionKind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class MissionState:
-    """The newest push about missions.
+    """The newest push about missions."""
 
-    Attributes:
-        kind: The mission that flies the aircraft.
-        index: Waypoint that it flies to, counted from 0; None for other missions.
-        status: Status value of a waypoint mission (0 on the way to the first point, 1 flying, 2
-            turning, 3 to 5 action, 6 reached; inferred) or of a hotpoint (0 on the way,
-            1 circling, 2 paused); None for others.
-        since: Since when pushes tell of this kind, with gaps of at most 3 s, on the event loop's
-            clock; None when none of late did.
-        is_running: Whether it flies the aircraft now: reported within the last 3 s.
-    """
-
-    kind: MissionKind = MissionKind.UNKNOWN
-    index: int | None = None
+    kind: MissionKind = MissionKind.UNKNOWN  #: The mission that flies the aircraft.
+    index: int | None = None  #: Waypoint that it flies to, counted from 0; None for other missions.
+    #: Status value of a waypoint mission (0 on the way to the first point, 1 flying, 2 turning, 3
+    #: to 5 action, 6 reached; inferred) or of a hotpoint (0 on the way, 1 circling, 2 paused); None
+    #: for others.
     status: int | None = None
+    #: Since when pushes tell of this kind, with gaps of at most 3 s, on the event loop's clock;
+    #: None when none of late did.
     since: float | None = None
-    is_running: bool = False
+    is_running: bool = False  #: Whether it flies the aircraft now: reported within the last 3 s.
 
 
 _KINDS = (

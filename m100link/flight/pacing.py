@@ -24,19 +24,12 @@ MAX_RATE_HZ = 50.0
 
 @dataclass(frozen=True, slots=True)
 class Tick:
-    """One tick of a control loop.
+    """One tick of a control loop."""
 
-    Attributes:
-        index: Number of the deadline, from 0; missed ones are counted in.
-        elapsed: Seconds from the first deadline to this one.
-        missed: Deadlines skipped since the tick before, because the loop was late.
-        lateness: Seconds from the deadline to now; never negative.
-    """
-
-    index: int
-    elapsed: float
-    missed: int
-    lateness: float
+    index: int  #: Number of the deadline, from 0; missed ones are counted in.
+    elapsed: float  #: Seconds from the first deadline to this one.
+    missed: int  #: Deadlines skipped since the tick before, because the loop was late.
+    lateness: float  #: Seconds from the deadline to now; never negative.
 
 
 class Ticker:

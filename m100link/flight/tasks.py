@@ -81,21 +81,13 @@ class Commander:
 
 @dataclass(frozen=True, slots=True)
 class TaskProgress:
-    """How far a take-off, landing or go-home is.
+    """How far a take-off, landing or go-home is."""
 
-    Attributes:
-        task: Which one.
-        elapsed: Seconds since it was accepted.
-        phase: Flight phase by telemetry, None when unknown.
-        height_m: Height by telemetry, None when unknown.
-        result: Newest answer to the result query, None before the first.
-    """
-
-    task: Task
-    elapsed: float
-    phase: FlightPhase | None
-    height_m: float | None
-    result: TaskResultCode | None
+    task: Task  #: Which one.
+    elapsed: float  #: Seconds since it was accepted.
+    phase: FlightPhase | None  #: Flight phase by telemetry, None when unknown.
+    height_m: float | None  #: Height by telemetry, None when unknown.
+    result: TaskResultCode | None  #: Newest answer to the result query, None before the first.
 
 
 TaskListener = Callable[[TaskProgress], None]  # called about four times a second

@@ -38,27 +38,18 @@ __all__ = [
 
 @dataclass(frozen=True, slots=True)
 class Uploading:
-    """The aircraft has taken a waypoint; ``progress`` gets it while a mission is entered.
+    """The aircraft has taken a waypoint; ``progress`` gets it while a mission is entered."""
 
-    Attributes:
-        index: Which, counted from 0.
-        total: How many there are.
-    """
-
-    index: int
-    total: int
+    index: int  #: Which, counted from 0.
+    total: int  #: How many there are.
 
 
 @dataclass(frozen=True, slots=True)
 class Uploaded:
-    """The aircraft has the whole plan and found it good; nothing flies yet.
+    """The aircraft has the whole plan and found it good; nothing flies yet."""
 
-    Attributes:
-        points: Number of waypoints.
-        estimated_time: Seconds that the aircraft expects it to take; None if it did not say.
-    """
-
-    points: int
+    points: int  #: Number of waypoints.
+    #: Seconds that the aircraft expects it to take; None if it did not say.
     estimated_time: float | None
 
 
@@ -69,50 +60,34 @@ class Started:
 
 @dataclass(frozen=True, slots=True)
 class Reached:
-    """A waypoint was reached. Once for each point and run.
+    """A waypoint was reached. Once for each point and run."""
 
-    Attributes:
-        index: Which, counted from 0.
-        is_inferred: No event of the aircraft reported it, but it flies on to a later one. So it is
-            when an event was lost, and at the points between with ``Trace.COORDINATED_TURNS``,
-            which are passed by.
-    """
-
-    index: int
+    index: int  #: Which, counted from 0.
+    #: No event of the aircraft reported it, but it flies on to a later one. So it is when an event
+    #: was lost, and at the points between with ``Trace.COORDINATED_TURNS``, which are passed by.
     is_inferred: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class ActionsDone:
-    """The actions of a waypoint have ended.
+    """The actions of a waypoint have ended."""
 
-    Attributes:
-        index: Which waypoint, counted from 0.
-    """
-
-    index: int
+    index: int  #: Which waypoint, counted from 0.
 
 
 @dataclass(frozen=True, slots=True)
 class MissionProgress:
-    """How far it is. At most once a second; one that was not taken gives way to the next.
+    """How far it is. At most once a second; one that was not taken gives way to the next."""
 
-    Attributes:
-        elapsed: Seconds since the start.
-        index: Waypoint that it flies to, counted from 0; None for other missions, and while
-            nobody knows.
-        status: Value of the status push, see :class:`m100link.MissionState`.
-        distance_m: Horizontal distance that remains to that waypoint, to the centre of the circle
-            or to the target, m; None when the position is unknown.
-        height_m: Height above the take-off point, m; None when unknown.
-        rate_deg_s: Of a hotpoint: angular rate along the circle, °/s; None otherwise.
-    """
-
-    elapsed: float
+    elapsed: float  #: Seconds since the start.
+    #: Waypoint that it flies to, counted from 0; None for other missions, and while nobody knows.
     index: int | None = None
-    status: int | None = None
+    status: int | None = None  #: Value of the status push, see :class:`m100link.MissionState`.
+    #: Horizontal distance that remains to that waypoint, to the centre of the circle or to the
+    #: target, m; None when the position is unknown.
     distance_m: float | None = None
-    height_m: float | None = None
+    height_m: float | None = None  #: Height above the take-off point, m; None when unknown.
+    #: Of a hotpoint: angular rate along the circle, °/s; None otherwise.
     rate_deg_s: float | None = None
 
 
@@ -142,16 +117,11 @@ class Finished:
 
 @dataclass(frozen=True, slots=True)
 class Aborted:
-    """The aircraft broke it off. The last event; :class:`MissionAborted` is raised behind it.
+    """The aircraft broke it off. The last event; :class:`MissionAborted` is raised behind it."""
 
-    Attributes:
-        code: The reason that the aircraft gave; None when it gave none.
-        reason: The same in words.
-        index: Waypoint that it was flying to, counted from 0; None when nobody knows.
-    """
-
-    code: int | None
-    reason: str
+    code: int | None  #: The reason that the aircraft gave; None when it gave none.
+    reason: str  #: The same in words.
+    #: Waypoint that it was flying to, counted from 0; None when nobody knows.
     index: int | None = None
 
 

@@ -363,17 +363,12 @@ _JUMP_M = 200.0  # the aircraft ignores a target so far from the one before (inf
 
 
 class Target(NamedTuple):
-    """Where a target is.
+    """Where a target is."""
 
-    Attributes:
-        latitude_deg: WGS 84.
-        longitude_deg: WGS 84.
-        altitude_m: Above the sea, whole metres: the aircraft follows its changes. 0, the default:
-            it keeps its height.
-    """
-
-    latitude_deg: float
-    longitude_deg: float
+    latitude_deg: float  #: WGS 84.
+    longitude_deg: float  #: WGS 84.
+    #: Above the sea, whole metres: the aircraft follows its changes. 0, the default: it keeps its
+    #: height.
     altitude_m: float = 0.0
 
 
