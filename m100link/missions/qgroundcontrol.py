@@ -363,9 +363,10 @@ class _Builder:
             raise item.refuse("it has no place", value=item.parameters[4:6])
         height = self._height(item) if height is None else height
         point = Waypoint(latitude, longitude, height, actions=self.waiting)
-        if self.begins_with_take_off and len(self.points) == 1 and _is_there(self.points[0], point):
+        first = self.points[0] if self.begins_with_take_off and len(self.points) == 1 else None
+        if first is not None and leg_length(first, point) < NEAREST_M:
             # Taken off to this very place.
-            point = replace(point, actions=[*self.points[0].actions, *self.waiting])
+            point = replace(point, actions=[*first.actions, *self.waiting])
             self.points.clear()
             self.yaws.clear()
         self.waiting = []
@@ -434,10 +435,6 @@ class _Builder:
         )
 
 
-def _is_there(one: Waypoint, other: Waypoint) -> bool:
-    return leg_length(one, other) < NEAREST_M
-
-
 def _between(here: Waypoint, there: Waypoint, part: float) -> Waypoint:
     """A place on the way, and a photograph there."""
     east = normalize_degrees(there.longitude_deg - here.longitude_deg)
@@ -489,7 +486,7 @@ def _land(builder: _Builder, item: QgcItem) -> None:
         last = builder.points[-1]
         # At the height that it has: that of a landing item is the ground's (MAVLink, 21).
         there = replace(last, latitude_deg=latitude, longitude_deg=longitude)
-        if not _is_there(last, there):
+        if leg_length(last, there) >= NEAREST_M:
             builder.add(item, math.nan, height=last.height)
     builder.at_end = AtEnd.LAND
 
