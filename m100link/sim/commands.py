@@ -55,40 +55,26 @@ class CommandReply(NamedTuple):
 
 
 class LastCommand(NamedTuple):
-    """A command that arrived, for tests and the live view.
+    """A command that arrived, for tests and the live view."""
 
-    Attributes:
-        time: Seconds since power-on.
-        address: Command set and id, None when the data were too short for them.
-        session: Session that it used.
-        encrypted: Whether it travelled encrypted.
-        command: The parsed command, None when it could not be read.
-        code: Its ack code, None when it has no ack; missions have one byte of code.
-    """
 
-    time: float
-    address: Address | None
-    session: int
-    encrypted: bool
-    command: Command | None
-    code: int | None
+    time: float  #: Seconds since power-on.
+    address: Address | None  #: Command set and id, None when the data were too short for them.
+    session: int  #: Session that it used.
+    encrypted: bool  #: Whether it travelled encrypted.
+    command: Command | None  #: The parsed command, None when it could not be read.
+    code: int | None  #: Its ack code, None when it has no ack; missions have one byte of code.
 
 
 @dataclass(slots=True)
 class Counters:
-    """Counts of the frames on the line and of their outcomes.
+    """Counts of the frames on the line and of their outcomes."""
 
-    Attributes:
-        movements: Movement commands received.
-        ignored_movements: Those without effect: no authority, illegal, on the ground, no GPS.
-        undecodable: Encrypted frames that could not be read as a command.
-        dropped_frames: Frames that nobody fetched in time.
-    """
-
-    movements: int = 0
+    movements: int = 0  #: Movement commands received.
+    #: Those without effect: no authority, illegal, on the ground, no GPS.
     ignored_movements: int = 0
-    undecodable: int = 0
-    dropped_frames: int = 0
+    undecodable: int = 0  #: Encrypted frames that could not be read as a command.
+    dropped_frames: int = 0  #: Frames that nobody fetched in time.
 
 
 class CommandedAircraft(Protocol):

@@ -36,28 +36,19 @@ class FlightRecording:
     """A flight as it was commanded and measured. Axes and signs are those of the document.
 
     Times are seconds of any one clock.
-
-    Attributes:
-        name: For people.
-        moves: Movement commands, and when they were sent.
-        attitude: Roll, pitch and yaw, rad.
-        velocity: North, east and up, m/s.
-        rates: Angular velocity about the body axes, rad/s.
-        acceleration: Three axes of any frame, m/s². Only its noise is looked at.
-        height: Metres above take-off; may be empty.
-        battery: Percent; may be empty.
-        flying: 1 in the air and 0 elsewhere; may be empty.
     """
 
-    name: str
+    name: str  #: For people.
+    #: Movement commands, and when they were sent.
     moves: list[tuple[float, ReceivedMove]] = field(default_factory=list)
-    attitude: Series = field(default_factory=list)
-    velocity: Series = field(default_factory=list)
-    rates: Series = field(default_factory=list)
+    attitude: Series = field(default_factory=list)  #: Roll, pitch and yaw, rad.
+    velocity: Series = field(default_factory=list)  #: North, east and up, m/s.
+    rates: Series = field(default_factory=list)  #: Angular velocity about the body axes, rad/s.
+    #: Three axes of any frame, m/s². Only its noise is looked at.
     acceleration: Series = field(default_factory=list)
-    height: Series = field(default_factory=list)
-    battery: Series = field(default_factory=list)
-    flying: Series = field(default_factory=list)
+    height: Series = field(default_factory=list)  #: Metres above take-off; may be empty.
+    battery: Series = field(default_factory=list)  #: Percent; may be empty.
+    flying: Series = field(default_factory=list)  #: 1 in the air and 0 elsewhere; may be empty.
 
 
 _GAP_S = 0.5  # as long as the aircraft flies on without a movement command
@@ -272,23 +263,14 @@ _MOST_LAG = round(0.5 / STEP_S)
 
 
 class Residual(NamedTuple):
-    """How far one signal of the virtual aircraft is from the recorded one.
+    """How far one signal of the virtual aircraft is from the recorded one."""
 
-    Attributes:
-        signal: Its name, of :data:`SIGNALS`.
-        unit: Of the two next.
-        rms: Root of the mean square of the difference.
-        deviation: Standard deviation of the recorded signal.
-        correlation: Between the two, −1 to 1; NaN where one of them never changes.
-        delay_s: The recorded signal is best correlated when it is taken so much later, s.
-    """
-
-    signal: str
-    unit: str
-    rms: float
-    deviation: float
-    correlation: float
-    delay_s: float
+    signal: str  #: Its name, of :data:`SIGNALS`.
+    unit: str  #: Of the two next.
+    rms: float  #: Root of the mean square of the difference.
+    deviation: float  #: Standard deviation of the recorded signal.
+    correlation: float  #: Between the two, −1 to 1; NaN where one of them never changes.
+    delay_s: float  #: The recorded signal is best correlated when it is taken so much later, s.
 
 
 def residuals(flights: Sequence[SpanFlight]) -> list[Residual]:
@@ -422,31 +404,19 @@ _BATTERY_SPAN = 10.0  # percent: with less in a recording, thrust by battery can
 
 
 class Found(NamedTuple):
-    """A constant of the airframe as the recordings show it.
+    """A constant of the airframe as the recordings show it."""
 
-    Attributes:
-        name: Field of the airframe.
-        before: Its value at the start.
-        value: Its value now.
-        error: Standard error, by the residuals and how they hang together.
-    """
-
-    name: str
-    before: float
-    value: float
-    error: float
+    name: str  #: Field of the airframe.
+    before: float  #: Its value at the start.
+    value: float  #: Its value now.
+    error: float  #: Standard error, by the residuals and how they hang together.
 
 
 class Fit(NamedTuple):
-    """The airframe that comes nearest to some recordings.
+    """The airframe that comes nearest to some recordings."""
 
-    Attributes:
-        airframe: All its numbers; those that nothing showed are those of the start.
-        found: The others.
-    """
-
-    airframe: Airframe
-    found: list[Found]
+    airframe: Airframe  #: All its numbers; those that nothing showed are those of the start.
+    found: list[Found]  #: The others.
 
 
 def fit(
