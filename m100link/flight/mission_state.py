@@ -56,7 +56,7 @@ class MissionState:
     #: Since when pushes tell of this kind, with gaps of at most 3 s, on the event loop's clock;
     #: None when none of late did.
     since: float | None = None
-    is_running: bool = False  #: Whether it flies the aircraft now: reported within the last 3 s.
+    is_running: bool = False  #: Whether it flies the aircraft now, as reported within the last 3 s.
 
 
 _KINDS = (

@@ -212,7 +212,7 @@ class Comparison:
     values: list[Difference] = field(default_factory=list)  #: Durations, maxima and the line.
     #: Twice a second; empty when one of them did not take off.
     apart: list[Apart] = field(default_factory=list)
-    #: Lines of the commands: beginning with ``-`` only in the first, with ``+`` only in the second.
+    #: Lines of the commands, beginning with ``-`` only in the first, with ``+`` only in the second.
     commands: list[str] = field(default_factory=list)
     alarms: list[str] = field(default_factory=list)  #: The same of alarms.
 

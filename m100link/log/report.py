@@ -59,7 +59,7 @@ class Sentence(NamedTuple):
     """Something that happened."""
 
     at_s: float  #: When, s after the beginning of the log; less than 0 for what was before it.
-    #: Its subject: ``client``, ``lease``, ``control``, ``order``, ``setpoints``, ``plan``,
+    #: Its subject, one of ``client``, ``lease``, ``control``, ``order``, ``setpoints``, ``plan``,
     #: ``limits``, ``journal``, ``text``, ``flight``, ``obeyed``, ``switch``, ``motion``, ``alarm``,
     #: ``sent`` or ``line``.
     kind: str

@@ -142,7 +142,7 @@ class Moment(NamedTuple):
     at_s: float  #: When it was first sent, s after the beginning of the log.
     command: str  #: Its name.
     arguments: dict[str, Any]  #: The arguments of the request, by name.
-    #: Name of the code it was answered with, or that it asks for no answer; None: no answer is in
+    #: Name of the code it was answered with, or that it asks for no answer; None, no answer is in
     #: the log.
     outcome: str | None
     after_s: float | None  #: Until the answer came, s; None without one.
@@ -217,12 +217,12 @@ class FlightSummary:
     #: POSIX time of the beginning, s; None when nothing is in the log.
     began_utc: float | None = None
     duration_s: float = 0.0  #: How long it is.
-    #: Name of the profile; None when it was never known: there is no telemetry then.
+    #: Name of the profile; None when it was never known, and no telemetry read.
     firmware: str | None = None
     packages: int = 0  #: Telemetry packages.
     #: ``ground``, ``take-off``, ``flight``, ``landing``, ``unknown``.
     phases: list[Span] = field(default_factory=list)
-    #: The owner of control authority: ``pilot``, ``app``, ``program``.
+    #: The owner of control authority, ``pilot``, ``app``, ``program``.
     control: list[Span] = field(default_factory=list)
     #: The alarms that the console would have shown, by the same names.
     alarms: list[Span] = field(default_factory=list)
@@ -231,7 +231,7 @@ class FlightSummary:
     streams: list[Span] = field(default_factory=list)  #: When setpoints and the like were sent.
     repeats: int = 0  #: Commands that were sent again because no answer came.
     discarded_bytes: int = 0  #: Received bytes that belonged to no frame.
-    #: Part of the aircraft's frames that never came whole, 0 to 1; None: unknown.
+    #: Part of the aircraft's frames that never came whole, 0 to 1; None if unknown.
     lost_share: float | None = None
     #: The last counters of the link, as :class:`~m100link.LinkStatistics` has them.
     line: dict[str, Any] = field(default_factory=dict)

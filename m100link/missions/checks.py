@@ -306,7 +306,7 @@ CAMERA_S = 1.5  # a photograph, and the beginning and end of a video
 class PlanEstimate:
     """Rough length and duration of a plan."""
 
-    length_m: float  #: Metres flown: each run, and the ways before and behind that are known.
+    length_m: float  #: Metres flown, in each run and on the ways before and behind that are known.
     duration_s: float  #: Seconds; infinite for a plan that only the pilot's stick moves.
     #: Of a full battery, more than 100 if one is not enough; infinite likewise.
     battery_percent: float

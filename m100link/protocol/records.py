@@ -391,7 +391,7 @@ class Device(IntEnum):
 class ControlDevice(NamedTuple):
     """The device that controls the aircraft (CTRL_DEVICE)."""
 
-    control: int  #: Raw byte: a number in firmware 1.0, bit fields later (errata 47).
+    control: int  #: Raw byte, a number in firmware 1.0, bit fields later (errata 47).
     #: Present control mode of firmware 3.1 (0 none, 1 to 14 as the setpoints), else None.
     mode: int | None
 

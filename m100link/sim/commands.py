@@ -71,7 +71,7 @@ class Counters:
     """Counts of the frames on the line and of their outcomes."""
 
     movements: int = 0  #: Movement commands received.
-    #: Those without effect: no authority, illegal, on the ground, no GPS.
+    #: Those without effect, by no authority, illegal, on the ground, no GPS.
     ignored_movements: int = 0
     undecodable: int = 0  #: Encrypted frames that could not be read as a command.
     dropped_frames: int = 0  #: Frames that nobody fetched in time.

@@ -87,7 +87,7 @@ class MissionProgress:
     #: target, m; None when the position is unknown.
     distance_m: float | None = None
     height_m: float | None = None  #: Height above the take-off point, m; None when unknown.
-    #: Of a hotpoint: angular rate along the circle, °/s; None otherwise.
+    #: Angular rate along the circle of a hotpoint, °/s; None otherwise.
     rate_deg_s: float | None = None
 
 

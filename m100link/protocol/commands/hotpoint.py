@@ -60,7 +60,7 @@ class HotpointStart(Laid, MissionRequest[HotpointStartAnswer], address=(0x03, 0x
     #: 0 to 30 degrees per second; the aircraft refuses more than about 10 m/s along the circle.
     angular_rate: float
     clockwise: int = 1  #: 1 clockwise seen from above, 0 counter-clockwise.
-    #: Where the circle is entered: 0 north, 1 south, 2 west, 3 east of the centre, 4 at the nearest
+    #: Where the circle is entered, 0 north, 1 south, 2 west, 3 east of the centre, 4 at the nearest
     #: place.
     start_point: int = 4
     #: 0 nose along the path, 1 to the centre, 2 outwards, 3 by the remote control, 4 as at the

@@ -290,7 +290,7 @@ class MissionStatus(_KindPush, address=(0x02, 0x03)):
 
     KINDS: ClassVar[tuple[type[_Reported], ...]] = STATUSES
 
-    #: The status, by the kind of mission: 0 none, 1 waypoint, 2 hotpoint, 3 follow, 4 IOC.
+    #: The status by the kind of mission, 0 none, 1 waypoint, 2 hotpoint, 3 follow, 4 IOC.
     status: Status
 
 
@@ -300,7 +300,7 @@ class WaypointEvent(_KindPush, address=(0x02, 0x04)):
 
     KINDS: ClassVar[tuple[type[_Reported], ...]] = EVENTS
 
-    event: Event  #: The event, by its kind: 0 uploaded, 1 finished, 2 reached.
+    event: Event  #: The event by its kind, 0 uploaded, 1 finished, 2 reached.
 
     @classmethod
     def parse(cls, value: bytes, profile: FirmwareProfile) -> Self:

@@ -132,7 +132,7 @@ class WaypointPoint(Laid, MissionRequest[WaypointPointAnswer], address=(0x03, 0x
     latitude: float  #: Radians.
     longitude: float  #: Radians.
     altitude: float  #: -200 to 500 m above the take-off point.
-    damping: float = 0.0  #: Radius of a rounded corner: 0, or 0.2 to 1000 m.
+    damping: float = 0.0  #: Radius of a rounded corner, 0 or 0.2 to 1000 m.
     yaw: int = 0  #: Heading, -180 to 180 degrees.
     gimbal_pitch: int = 0  #: -90 to 30 degrees.
     turn_mode: int = 0  #: 0 turn clockwise, 1 counter-clockwise.
@@ -143,7 +143,7 @@ class WaypointPoint(Laid, MissionRequest[WaypointPointAnswer], address=(0x03, 0x
     action_repeat: int = 0  #: How often the list is gone through, 0 to 15.
     #: 16 numbers of :data:`ACTIONS`, of which 15 are used.
     actions: tuple[int, ...] = (0,) * _SLOTS
-    #: 16 numbers: milliseconds to stay, or degrees to turn or pitch to.
+    #: 16 numbers, milliseconds to stay, or degrees to turn or pitch to.
     parameters: tuple[int, ...] = (0,) * _SLOTS
 
     @classmethod
