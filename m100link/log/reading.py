@@ -56,7 +56,7 @@ _OF_WRITES = b'{"direction":"tx"'
 class Message(NamedTuple):
     """One message of a log."""
 
-    topic: str  #: The subject, see ``docs: reference/log``.
+    topic: str  #: The subject, as in the page on logs.
     at: float  #: The event loop's clock when it was written, s.
     utc: float  #: The same as POSIX time, s.
     data: bytes  #: Its bytes; JSON, except on the raw topics.

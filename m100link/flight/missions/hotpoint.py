@@ -367,7 +367,7 @@ class Target(NamedTuple):
 
     latitude_deg: float  #: WGS 84.
     longitude_deg: float  #: WGS 84.
-    #: Whole metres above the sea; the aircraft follows its changes. 0, the default: it keeps its
+    #: Whole metres above the sea; the aircraft follows its changes. 0, the default, keeps its
     #: height.
     altitude_m: float = 0.0
 
