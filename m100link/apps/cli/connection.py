@@ -415,18 +415,10 @@ def _conclude(found: Report) -> None:
 
 async def _agrees() -> bool:
     """Ask whether to try control authority; in the loop, so that Ctrl-C ends the question."""
-    if not sys.stdin.isatty():
-        return False
-    out.print(
+    return sys.stdin.isatty() and await _asked(
         "Obtain control authority for a moment? The aircraft stays on the ground and does not "
-        "move; m100link gives authority back at once. [y/N] ",
-        end="",
-        markup=False,
+        "move; m100link gives authority back at once."
     )
-    answer = await read_line()
-    if not answer:  # Ctrl-D leaves the cursor behind the question
-        out.print()
-    return answer.lower() in ("y", "yes")
 
 
 # -- ``m100link first-contact``: the first hour with an aircraft -----------------------------------

@@ -149,18 +149,11 @@ async def hz(url: Url = None, /, *, link: LinkOptions = BY_LINK, duration: Durat
     """Measure item rates, jitter and gaps, and the aircraft's clock."""
     place = link.place(url)
     async with place.connect() as aircraft:
-        if as_json():
-            await asyncio.sleep(duration)
-        else:
-            with Live(console=out, refresh_per_second=4) as live:
-                end = asyncio.get_running_loop().time() + duration
-                while asyncio.get_running_loop().time() < end and aircraft.link.is_open:
-                    await asyncio.sleep(0.25)
-                    live.update(_rates_table(aircraft))
+        await until(duration, aircraft.wait_closed())
         if aircraft.link.failure is not None:
             raise aircraft.link.failure.again()
-        if as_json():
-            print_json(_rates(aircraft))
+        measured = _rates(aircraft)
+    tell(measured, lambda: out.print(_rates_table(measured)))
 
 
 def _rates(aircraft: Aircraft) -> dict[str, Any]:
@@ -188,8 +181,7 @@ def _rates(aircraft: Aircraft) -> dict[str, Any]:
     }
 
 
-def _rates_table(aircraft: Aircraft) -> Table:
-    measured = _rates(aircraft)
+def _rates_table(measured: dict[str, Any]) -> Table:
     clock = measured["device_clock"]
     known_to = _number(clock["uncertainty_s"], 1000, 1)
     table = Table(
