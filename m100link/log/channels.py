@@ -8,9 +8,11 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 from m100link.errors import BadAck, LayoutMismatch
+from m100link.errors.texts import read_json
 from m100link.protocol.command import Acknowledged, Command, Unrecognised
 from m100link.protocol.commands.activation import Activate
 from m100link.protocol.commands.monitor import PushTelemetry
@@ -227,71 +229,13 @@ class Curve:
 # -- a layout of panels for Foxglove and Lichtblick, for recorded flights and live ones ------------
 
 
-def _path(column: str) -> str:
-    """A column as the panels write it: its name has a dot, so it stands in quotes."""
-    return f'{TELEMETRY}."{column}"'
-
-
-def _plot(title: str, **columns: str) -> dict[str, Any]:
-    return {
-        **dict.fromkeys(("foxglovePanelTitle", "lichtblickPanelTitle"), title),
-        "paths": [
-            _series(_path(column), label=label, enabled=True) for label, column in columns.items()
-        ],
-        "legendDisplay": "left",  # a floating one covers the curves of a small plot
-        "showPlotValuesInLegend": True,
-        "sidebarDimension": 200,
-    }
-
-
-def _series(path: str, **more: Any) -> dict[str, Any]:
-    return {"value": path, "timestampMethod": "receiveTime", **more}
-
-
-def _split(direction: str, first: Any, second: Any, percent: int) -> dict[str, Any]:
-    return {"direction": direction, "first": first, "second": second, "splitPercentage": percent}
-
-
 def layout() -> dict[str, Any]:
-    """Map, height, speed, battery, attitude and events, ready for JSON.
+    """Map, height, speed, battery, attitude and events for Foxglove and Lichtblick.
 
     ``/tf`` and ``/m100/log`` are there while a flight is watched, ``/m100/event`` in its log.
     """
-    panels = {
-        "map!m100": {"followTopic": FIX, "zoomLevel": 18},
-        "Plot!height": _plot("Height, m", height="position.height"),
-        "Plot!speed": _plot("Speed, m/s", north="velocity.x", east="velocity.y", up="velocity.z"),
-        "Plot!battery": _plot("Battery, %", charge="battery.percent"),
-        "Plot!attitude": _plot(
-            "Attitude, quaternion", **{f"q{one}": f"quaternion.q{one}" for one in range(4)}
-        ),
-        "3D!attitude": {
-            "followTf": "takeoff",
-            "followMode": "follow-pose",
-            "scene": {"transforms": {"axisScale": 1.5, "showLabel": True}},
-            "layers": {"grid": {"layerId": "foxglove.Grid", "visible": True, "size": 20}},
-        },
-        "StateTransitions!status": {
-            "paths": [_series(_path("flight_status.status")), _series(f"{EVENT}.after")]
-        },
-        "RawMessages!event": {"topicPath": EVENT},
-        "RosOut!log": {"topicToRender": MESSAGE, "minLogLevel": 1},
-    }
-    plots = _split(
-        "column",
-        _split("column", "Plot!height", "Plot!speed", 50),
-        _split("column", "Plot!battery", "Plot!attitude", 50),
-        50,
-    )
-    texts = _split("row", "RawMessages!event", "RosOut!log", 50)
-    right = _split("column", plots, _split("column", "StateTransitions!status", texts, 45), 62)
-    return {
-        "configById": panels,
-        "globalVariables": {},
-        "userNodes": {},
-        "playbackConfig": {"speed": 1},
-        "layout": _split("row", _split("column", "map!m100", "3D!attitude", 60), right, 45),
-    }
+    found: dict[str, Any] = read_json(Path(__file__).with_name("layout.json").read_bytes())
+    return found
 
 
 # -- the witness: reads what goes over a line as somebody else would, and says what it means -------
