@@ -69,6 +69,7 @@ _REASONS: dict[str, tuple[str, ...]] = {
         "apps/cli/manual.py _pages",
         "apps/cli/manual.py _unfenced",
         "apps/fleet/order_log.py since_boot",
+        "log/channels.py layout",
         "log/pcapng.py dissector",
         "sim/ports/pty.py PtyPort.unread",
         "apps/station/console/app.py _rules",
