@@ -424,34 +424,6 @@ _NOWHERE = '<p class="over">No position that can be trusted was heard.</p>'
 _MOST_ROWS = 500
 _TIME_STEPS = (1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200, 14400, 43200, 86400)
 
-_POLICY = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
-_PAGE = """<!doctype html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<meta http-equiv="Content-Security-Policy" content="{policy}">
-<title>{name}</title>
-<style>
-{css}</style>
-</head>
-<body>
-<h1>{name}</h1>
-<p>{began}</p>
-<dl class="facts">{facts}</dl>
-<div class="both">
-<section class="track"><h2>Track over the take-off point</h2>{track}</section>
-<section><h2>Over time <span id="time"></span></h2>{charts}</section>
-</div>
-<h2>What happened</h2>
-<table>{events}</table>
-<script type="application/json" id="flight">{data}</script>
-<script>
-{js}</script>
-</body>
-</html>
-"""
-
 
 def page(story: FlightSummary) -> str:
     """The page. It opens from a disk as well as from a server, on a telephone as on a desk."""
@@ -464,20 +436,23 @@ def page(story: FlightSummary) -> str:
         "lines": [_points(line) for panel in drawn for line in panel.lines],
         "track": places,
     }
-    return _PAGE.format(
-        policy=_POLICY,
-        name=escape(story.name),
-        css=(here / "page.css").read_text("utf-8"),
-        js=(here / "page.js").read_text("utf-8"),
-        began=_began(story, "Nothing was recorded."),
-        facts="".join(
-            f"<div><dt>{escape(name)}</dt><dd>{escape(value)}</dd></div>"
-            for name, value in facts(story)
-        ),
-        track=track,
-        charts=_charts(story, drawn, duration),
-        events="".join(_rows(story)),
-        data=json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c"),
+    return (
+        (here / "page.html")
+        .read_text("utf-8")
+        .format(
+            name=escape(story.name),
+            css=(here / "page.css").read_text("utf-8"),
+            js=(here / "page.js").read_text("utf-8"),
+            began=_began(story, "Nothing was recorded."),
+            facts="".join(
+                f"<div><dt>{escape(name)}</dt><dd>{escape(value)}</dd></div>"
+                for name, value in facts(story)
+            ),
+            track=track,
+            charts=_charts(story, drawn, duration),
+            events="".join(_rows(story)),
+            data=json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c"),
+        )
     )
 
 
