@@ -120,20 +120,15 @@ ENDED = (_S.REFUSED, _S.CLOSED)
 class BackOff:
     """How long to wait before each attempt.
 
-    Attributes:
-        first: Seconds before the first repetition, above 0.
-        factor: By which each pause is longer than the one before, 1 or more.
-        most: Longest pause, s.
-        jitter: Share by which a pause is longer or shorter by chance, 0 to below 1, so that many
-            programs do not come back at the same moment.
-
     Raises:
         UsageError: One of them is out of its range.
     """
 
-    first: float = 0.5
-    factor: float = 2.0
-    most: float = 15.0
+    first: float = 0.5  #: Seconds before the first repetition, above 0.
+    factor: float = 2.0  #: By which each pause is longer than the one before, 1 or more.
+    most: float = 15.0  #: Longest pause, s.
+    #: Share by which a pause is longer or shorter by chance, 0 to below 1, so that many programs do
+    #: not come back at the same moment.
     jitter: float = 0.2
 
     def __post_init__(self) -> None:

@@ -48,61 +48,45 @@ class FirmwareProfile:
     A profile for another firmware is made of one of these with :func:`dataclasses.replace`, and
     goes wherever the name of one goes.
 
-    Attributes:
-        name: ``"1.0"``, ``"2.3"``, ``"3.1"`` or ``"1.0-document"``.
-        summary: One sentence for people.
-        version_name: Text that the version query answers (errata 16).
-        has_serial: The version ack carries a hardware serial (49 bytes instead of 38).
-        hardware_versions: Beginnings of the hardware version, in that text, by which an aircraft is
-            recognised; ``""`` means a text of the document's form "SDK vX.X XXXX", without any.
-            None at all: only when forced.
-        reads_unknown: As what the telemetry of an unknown firmware is read whose version ack is of
-            the same size.
-        activation_version: Version word of the activation request; None leaves it to the developer.
-        has_level: The activation request carries the authorization level.
-        tick_hz: Ticks per second of the telemetry clock (errata 42).
-        items: Layout per telemetry item, by name; an item that is left out is not sent.
-        throttle_before_yaw: Order of the last two movement values. The document prints yaw first,
-            every program that DJI shipped sends throttle first (errata 1).
-        flag_bit0: Meaning of bit 0 of the control flag.
-        tilt_frame_selectable: Whether tilt obeys the frame bit; otherwise it is always body.
-        authority_requests: Requests needed to obtain or release authority; with 2 the first is
-            answered "in progress" (errata 24).
-        authority_refusal_has_reason: A refusal tells "not in F" from "IOC is on".
-        shows_authority_request: The control device item shows whether authority is requested
-            (errata 47).
-        velocity_names_sensor: The velocity status byte names the source of the value (errata 46).
-        needs_f_toggle: F already chosen at power-on needs the switch moved away and back.
-        ioc_must_be_off: IOC forbids authority.
-        generation: Which commands it knows: each command says since when it exists.
-        item_flags: The bits of its items in the flag word of telemetry.
-        plans: What ``m100link.protocol.packet`` has worked out, per flag word of these items.
-
     Raises:
         UsageError: An item that does not exist, or fields that it does not have.
     """
 
-    name: str
-    summary: str
-    version_name: str
-    has_serial: bool
+    name: str  #: ``"1.0"``, ``"2.3"``, ``"3.1"`` or ``"1.0-document"``.
+    summary: str  #: One sentence for people.
+    version_name: str  #: Text that the version query answers (errata 16).
+    has_serial: bool  #: The version ack carries a hardware serial (49 bytes instead of 38).
+    #: Beginnings of the hardware version, in that text, by which an aircraft is recognised; ``""``
+    #: means a text of the document's form "SDK vX.X XXXX", without any. None at all, only when
+    #: forced.
     hardware_versions: tuple[str, ...]
+    #: As what the telemetry of an unknown firmware is read whose version ack is of the same size.
     reads_unknown: bool
+    #: Version word of the activation request; None leaves it to the developer.
     activation_version: int | None
-    has_level: bool
-    tick_hz: int
+    has_level: bool  #: The activation request carries the authorization level.
+    tick_hz: int  #: Ticks per second of the telemetry clock (errata 42).
+    #: Layout per telemetry item, by name; an item that is left out is not sent.
     items: Mapping[str, ItemLayout]
+    #: Order of the last two movement values. The document prints yaw first, every program that DJI
+    #: shipped sends throttle first (errata 1).
     throttle_before_yaw: bool
-    flag_bit0: FlagBit0
-    tilt_frame_selectable: bool
+    flag_bit0: FlagBit0  #: Meaning of bit 0 of the control flag.
+    tilt_frame_selectable: bool  #: Whether tilt obeys the frame bit; otherwise it is always body.
+    #: Requests needed to obtain or release authority; with 2 the first is answered "in progress"
+    #: (errata 24).
     authority_requests: int
-    authority_refusal_has_reason: bool
+    authority_refusal_has_reason: bool  #: A refusal tells "not in F" from "IOC is on".
+    #: The control device item shows whether authority is requested (errata 47).
     shows_authority_request: bool
+    #: The velocity status byte names the source of the value (errata 46).
     velocity_names_sensor: bool
-    needs_f_toggle: bool
-    ioc_must_be_off: bool
-    generation: Generation
+    needs_f_toggle: bool  #: F already chosen at power-on needs the switch moved away and back.
+    ioc_must_be_off: bool  #: IOC forbids authority.
+    generation: Generation  #: Which commands it knows, as each command says since when it exists.
+    #: The bits of its items in the flag word of telemetry.
     item_flags: int = field(init=False, repr=False)
+    #: What ``m100link.protocol.packet`` has worked out, per flag word of these items.
     plans: dict[int, Any] = field(init=False, repr=False, default_factory=dict)
 
     def __post_init__(self) -> None:

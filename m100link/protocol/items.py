@@ -37,16 +37,12 @@ R = TypeVar("R", bound=tuple[Any, ...])
 class ItemLayout:
     """Bytes of one telemetry item: little-endian, packed.
 
-    Attributes:
-        format: Format characters of :mod:`struct`, without byte order.
-        fields: Name per value, in wire order.
-
     Raises:
         UsageError: The format is not one, or has another number of values than there are names.
     """
 
-    format: str
-    fields: tuple[str, ...]
+    format: str  #: Format characters of :mod:`struct`, without byte order.
+    fields: tuple[str, ...]  #: Name per value, in wire order.
 
     def __post_init__(self) -> None:
         try:

@@ -173,26 +173,18 @@ class Setpoint(
     Build one with :meth:`tilt`, :meth:`velocity` or :meth:`position_offset`; all values are
     checked there and again here, so a setpoint that exists can be sent.
 
-    Attributes:
-        mode: Control mode.
-        x: North or forward: velocity (m/s) or offset (m); in tilt mode the roll angle (°).
-        y: East or right: velocity (m/s) or offset (m); in tilt mode the pitch angle (°).
-        z: Climb rate (m/s, up positive), height above take-off (m) or thrust (%).
-        yaw: Heading (°, 0 north, clockwise) or yaw rate (°/s, clockwise positive).
-        frame: Frame of x and y. Tilt is always in the body frame under firmware 1.0.
-        stable: Stable mode of firmware 3.1 (bit 0): brake smoothly and hold the place.
-
     Raises:
         BadSetpoint: A value is not finite or outside its range, or the mode is not in the table.
     """
 
-    mode: ControlMode
-    x: float
-    y: float
-    z: float
-    yaw: float
+    mode: ControlMode  #: Control mode.
+    x: float  #: North or forward, velocity (m/s) or offset (m); in tilt mode the roll angle (°).
+    y: float  #: East or right, velocity (m/s) or offset (m); in tilt mode the pitch angle (°).
+    z: float  #: Climb rate (m/s, up positive), height above take-off (m) or thrust (%).
+    yaw: float  #: Heading (°, 0 north, clockwise) or yaw rate (°/s, clockwise positive).
+    #: Frame of x and y. Tilt is always in the body frame under firmware 1.0.
     frame: ReferenceFrame = ReferenceFrame.GROUND
-    stable: bool = False
+    stable: bool = False  #: Brake smoothly and hold the place, the stable mode of firmware 3.1 (bit 0).
     # The control flag where all firmwares have the same one, worked out once: a setpoint is sent
     # more often than it is made. None: it depends on the firmware.
     _flag: int | None = field(init=False, repr=False, compare=False)
