@@ -184,7 +184,7 @@ class Setpoint(
     yaw: float  #: Heading (°, 0 north, clockwise) or yaw rate (°/s, clockwise positive).
     #: Frame of x and y. Tilt is always in the body frame under firmware 1.0.
     frame: ReferenceFrame = ReferenceFrame.GROUND
-    stable: bool = False  #: Brake smoothly and hold the place, the stable mode of firmware 3.1 (bit 0).
+    stable: bool = False  #: Brake smoothly, then hold the place (firmware 3.1, bit 0).
     # The control flag where all firmwares have the same one, worked out once: a setpoint is sent
     # more often than it is made. None: it depends on the firmware.
     _flag: int | None = field(init=False, repr=False, compare=False)
