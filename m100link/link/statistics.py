@@ -20,16 +20,12 @@ ROUND_TRIP_BOUNDS_S = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0
 
 @dataclass(frozen=True, slots=True)
 class RoundTrips:
-    """How long answered requests took, from the call to the answer, repeats included.
+    """How long answered requests took, from the call to the answer, repeats included."""
 
-    Attributes:
-        counts: Requests in each class: up to 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000 and 2000 ms
-            (the bound included) and beyond the one before; the last class has those beyond them.
-        total_s: All of them together, s.
-    """
-
+    #: Requests in each class, up to 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000 and 2000 ms (the bound
+    #: included) and beyond the one before; the last class has those beyond them.
     counts: tuple[int, ...] = (0,) * (len(ROUND_TRIP_BOUNDS_S) + 1)
-    total_s: float = 0.0
+    total_s: float = 0.0  #: All of them together, s.
 
     @property
     def count(self) -> int:
@@ -60,43 +56,26 @@ class RoundTrips:
 
 @dataclass(frozen=True, slots=True)
 class LinkStatistics:
-    """Counters of a link since it was opened.
+    """Counters of a link since it was opened."""
 
-    Attributes:
-        bytes_received: Bytes read.
-        bytes_sent: Bytes written.
-        frames_received: Frames with good checksums.
-        frames_sent: Frames written.
-        discards: Discarded starts and frames per cause.
-        discarded_bytes: Bytes that were part of no frame.
-        dropped_writes: Frames not written because the line did not drain.
-        acks: Acks that answered a request.
-        duplicate_acks: Acks of a request answered before.
-        late_acks: Acks that came after their request had ended.
-        foreign_acks: Acks of nothing that was sent here.
-        repeats: Transmissions beyond the first of a request.
-        expired: Requests that ran out of tries.
-        round_trips: How long answered requests took.
-        missed_setpoints: Setpoints that did not go out in their time: the program did not keep up.
-        round_trip_s: Time of a question and its answer on this line, s: the shortest of the newest
-            eight; None before the first answer.
-    """
-
-    bytes_received: int
-    bytes_sent: int
-    frames_received: int
-    frames_sent: int
-    discards: dict[str, int]
-    discarded_bytes: int
-    dropped_writes: int
-    acks: int
-    duplicate_acks: int
-    late_acks: int
-    foreign_acks: int
-    repeats: int
-    expired: int
-    round_trips: RoundTrips
+    bytes_received: int  #: Bytes read.
+    bytes_sent: int  #: Bytes written.
+    frames_received: int  #: Frames with good checksums.
+    frames_sent: int  #: Frames written.
+    discards: dict[str, int]  #: Discarded starts and frames per cause.
+    discarded_bytes: int  #: Bytes that were part of no frame.
+    dropped_writes: int  #: Frames not written because the line did not drain.
+    acks: int  #: Acks that answered a request.
+    duplicate_acks: int  #: Acks of a request answered before.
+    late_acks: int  #: Acks that came after their request had ended.
+    foreign_acks: int  #: Acks of nothing that was sent here.
+    repeats: int  #: Transmissions beyond the first of a request.
+    expired: int  #: Requests that ran out of tries.
+    round_trips: RoundTrips  #: How long answered requests took.
+    #: Setpoints that did not go out in their time, as the program did not keep up.
     missed_setpoints: int = 0
+    #: Time of a question and its answer on this line, s, the shortest of the newest eight; None
+    #: before the first answer.
     round_trip_s: float | None = None
 
 

@@ -31,17 +31,11 @@ _SECRET = re.compile(r"\b((?:key|app[-_]id)=)[^&]*", re.IGNORECASE)
 
 @dataclass(frozen=True, slots=True)
 class ConnectionString:
-    """A parsed connection string.
+    """A parsed connection string."""
 
-    Attributes:
-        scheme: ``serial``, ``tcp``, or the name of another transport.
-        target: Device path, host, or whatever stands behind ``scheme://``.
-        number: Baud rate or port number; None for other schemes.
-    """
-
-    scheme: str
-    target: str
-    number: int | None = None
+    scheme: str  #: ``serial``, ``tcp``, or the name of another transport.
+    target: str  #: Device path, host, or whatever stands behind ``scheme://``.
+    number: int | None = None  #: Baud rate or port number; None for other schemes.
 
     def __str__(self) -> str:
         if self.scheme == "serial":

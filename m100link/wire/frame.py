@@ -208,23 +208,14 @@ _unpack_whole: list[_Unpack] = [
 
 @quick
 class Frame(NamedTuple):
-    """One frame, decrypted and without padding.
+    """One frame, decrypted and without padding."""
 
-    Attributes:
-        session: Session id, 0 to 31 (document 1.4).
-        is_ack: True for an acknowledgement, False for a command or push.
-        sequence: Sequence number, 0 to 65535. An ack repeats that of its command.
-        encrypted: Whether the data travelled encrypted.
-        padding: Padding bytes that encryption added, 0 when plain.
-        data: The payload: command set, command id and value, or the value of an ack.
-    """
-
-    session: int
-    is_ack: bool
-    sequence: int
-    encrypted: bool
-    padding: int
-    data: bytes
+    session: int  #: Session id, 0 to 31 (document 1.4).
+    is_ack: bool  #: True for an acknowledgement, False for a command or push.
+    sequence: int  #: Sequence number, 0 to 65535. An ack repeats that of its command.
+    encrypted: bool  #: Whether the data travelled encrypted.
+    padding: int  #: Padding bytes that encryption added, 0 when plain.
+    data: bytes  #: The payload, command set, command id and value, or the value of an ack.
 
 
 _make_frame = maker(Frame)
