@@ -186,14 +186,10 @@ class Columns:
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Table:
-    """Rows of telemetry, oldest first: a row per package.
+    """Rows of telemetry, oldest first: a row per package."""
 
-    Attributes:
-        names: Name per column, see :class:`Columns`.
-        rows: The rows, as wide as there are names; NaN where nothing was received.
-    """
-
-    names: tuple[str, ...]
+    names: tuple[str, ...]  #: Name per column, see :class:`Columns`.
+    #: The rows, as wide as there are names; NaN where nothing was received.
     rows: list[tuple[float, ...]]
 
     def __len__(self) -> int:

@@ -38,14 +38,10 @@ _NOTES = 64  # looked at together
 
 
 class HostTime(NamedTuple):
-    """An estimated time on the event loop's clock.
+    """An estimated time on the event loop's clock."""
 
-    Attributes:
-        time: Seconds.
-        uncertainty_s: Half width within which the truth lies, s; infinite while nothing is known.
-    """
-
-    time: float
+    time: float  #: Seconds.
+    #: Half width within which the truth lies, s; infinite while nothing is known.
     uncertainty_s: float
 
 

@@ -104,22 +104,16 @@ class IntegrityState(Enum):
 
 
 class Integrity(NamedTuple):
-    """Whether telemetry can be believed.
+    """Whether telemetry can be believed."""
 
-    Attributes:
-        state: The finding.
-        seen: The finding with its figures; empty while nothing is wrong.
-        test_ratio: Horizontal distance between the position and where the velocity leads, divided
-            by its limit; below 1 is fine (PX4: innovation test ratio).
-        height_test_ratio: The same of the height.
-        delay_s: Delay of the newest package compared with the earliest ones, s; 0 while the
-            aircraft's clock is not known.
-    """
-
-    state: IntegrityState
-    seen: str = ""
+    state: IntegrityState  #: The finding.
+    seen: str = ""  #: The finding with its figures; empty while nothing is wrong.
+    #: Horizontal distance between the position and where the velocity leads, divided by its limit;
+    #: below 1 is fine (PX4 calls it innovation test ratio).
     test_ratio: float = 0.0
-    height_test_ratio: float = 0.0
+    height_test_ratio: float = 0.0  #: The same of the height.
+    #: Delay of the newest package compared with the earliest ones, s; 0 while the aircraft's clock
+    #: is not known.
     delay_s: float = 0.0
 
     @property

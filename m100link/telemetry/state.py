@@ -90,22 +90,14 @@ def _shown(field: tuple[str, object]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class ItemStatistics:
-    """How an item arrives.
+    """How an item arrives."""
 
-    Attributes:
-        name: Item name.
-        count: Arrivals in all.
-        rate_hz: Arrivals per second lately; None before the second one.
-        jitter_s: Mean deviation of the intervals from their mean lately, s; None before the third
-            arrival.
-        longest_gap_s: Longest interval so far, s; 0 before the second arrival.
-    """
-
-    name: str
-    count: int
-    rate_hz: float | None
+    name: str  #: Item name.
+    count: int  #: Arrivals in all.
+    rate_hz: float | None  #: Arrivals per second lately; None before the second one.
+    #: Mean deviation of the intervals from their mean lately, s; None before the third arrival.
     jitter_s: float | None
-    longest_gap_s: float
+    longest_gap_s: float  #: Longest interval so far, s; 0 before the second arrival.
 
 
 class _Cell:
