@@ -27,21 +27,14 @@ DEMO_KEY = Key(bytes(range(32)))
 
 @dataclass(slots=True)
 class RegisteredApp:
-    """One entry of the server's registry.
+    """One entry of the server's registry."""
 
-    Attributes:
-        app_id: The number handed out at registration.
-        key: The AES key handed out with it.
-        level: Authorization level 0, 1 or 2 (document, *Command Authorization Levels*).
-        device_limit: Device Available Number: how many autopilots may be activated.
-        autopilots: Serial numbers of those that were.
-    """
-
-    app_id: int
-    key: Key
-    level: int = 2
+    app_id: int  #: The number handed out at registration.
+    key: Key  #: The AES key handed out with it.
+    level: int = 2  #: Authorization level 0, 1 or 2 (document, *Command Authorization Levels*).
+    #: Autopilots that may be activated at most (Device Available Number).
     device_limit: int = DEFAULT_DEVICE_LIMIT
-    autopilots: set[str] = field(default_factory=set)
+    autopilots: set[str] = field(default_factory=set)  #: Serial numbers of those that were.
 
 
 class Refusal(Enum):

@@ -26,20 +26,14 @@ _CORNER_S = 2.0  # for how long the sticks are held there; our estimate
 
 
 class Sticks(NamedTuple):
-    """The input that the autopilot receives from a remote control.
+    """The input that the autopilot receives from a remote control."""
 
-    Attributes:
-        roll, pitch, yaw, throttle: Deflection, -1 (left or down) to 1 (right or up).
-        mode: Position of the mode switch.
-        gear_down: Position of the landing gear switch.
-    """
-
-    roll: float
-    pitch: float
-    yaw: float
-    throttle: float
-    mode: RcMode
-    gear_down: bool
+    roll: float  #: Deflection, -1 (left or down) to 1 (right or up).
+    pitch: float  #: Deflection, -1 (left or down) to 1 (right or up).
+    yaw: float  #: Deflection, -1 (left or down) to 1 (right or up).
+    throttle: float  #: Deflection, -1 (left or down) to 1 (right or up).
+    mode: RcMode  #: Position of the mode switch.
+    gear_down: bool  #: Position of the landing gear switch.
 
     @property
     def are_moved(self) -> bool:

@@ -28,16 +28,11 @@ from m100link.sim.vehicle.dynamics import (
 
 @dataclass(frozen=True, slots=True)
 class NoFlyZone:
-    """A circle on the map that no mission may enter.
+    """A circle on the map that no mission may enter."""
 
-    Attributes:
-        latitude_deg, longitude_deg: Its centre.
-        radius: Metres.
-    """
-
-    latitude_deg: float
-    longitude_deg: float
-    radius: float
+    latitude_deg: float  #: Its centre.
+    longitude_deg: float  #: Its centre.
+    radius: float  #: Metres.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
