@@ -57,7 +57,6 @@ class CommandReply(NamedTuple):
 class LastCommand(NamedTuple):
     """A command that arrived, for tests and the live view."""
 
-
     time: float  #: Seconds since power-on.
     address: Address | None  #: Command set and id, None when the data were too short for them.
     session: int  #: Session that it used.

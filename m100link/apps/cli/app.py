@@ -106,7 +106,7 @@ _ROWS = {
             "show.json a1.skyb a2.skyb --origin 52.1,4.31",
             "show.json a1.csv --origin 52.1,4.31 --orientation 90",
         ),
-        ("fleet show preview", "", "show.json", "show.json show.svg"),
+        ("fleet show preview", "", "show.json show.svg", "show.json -"),
         ("fleet show fly", "", "show.json", "show.json --leave hover --yes"),
         ("fleet log list", "", "a1", "--all"),
         ("fleet log audit", "", "a1", "--all --output audit"),

@@ -80,11 +80,10 @@ def track_plot(
     rows: int = 16,
     names: Sequence[str] = (),
     marks: Sequence[tuple[Point, str]] = (),
-    dots: Sequence[Point] = (),
 ) -> list[str]:
     """A track seen from above, equal scales, north up; names without room are left out."""
     canvas = _Canvas(columns, rows)
-    everything = [*points, *(place for place, _ in marks), *dots]
+    everything = [*points, *(place for place, _ in marks)]
     if not everything:
         return canvas.lines()
     south, north = _span((p[0] for p in everything), 1.0)
@@ -99,8 +98,6 @@ def track_plot(
     corners = [dot(place) for place in points]
     for (x0, y0), (x1, y1) in pairwise(corners):
         canvas.line(x0, y0, x1, y1)
-    for x, y in map(dot, dots):
-        canvas.dot(round(x), round(y))
     named = [*zip(corners, names, strict=False), *((dot(place), word) for place, word in marks)]
     for (x, y), name in named:
         canvas.write(x, y, name)

@@ -38,9 +38,7 @@ from m100link.apps.fleet.show.conductor import Conductor
 from m100link.apps.fleet.show.plan.document import (
     Report,
     Show,
-    distances,
     imported,
-    places,
     svg,
 )
 from m100link.apps.fleet.show.plan.document import check as report_on
@@ -353,7 +351,7 @@ def import_tracks(
 @shows.command
 def preview(
     show: ShowFile,
-    picture: File | None = None,
+    picture: File,
     /,
     *,
     guards: ShowEnvelopeOptions = ShowEnvelopeOptions(),
@@ -361,20 +359,15 @@ def preview(
 ) -> int:
     """Draw a show: its tracks from above, and the least distance of any two over time.
 
-    Without a file the command draws in the terminal. It also draws a show that must not be flown,
-    prints its problems on standard error, and exits with 2.
+    It also draws a show that must not be flown, prints its problems on standard error, and exits
+    with 2.
 
     Args:
         picture: An SVG file to write; - is standard output.
     """
     found = _read(show)
     report = report_on(found, guards.envelope)
-    if picture is None and as_json():
-        print_json(_facts(found, report))
-    elif picture is None:
-        say(*_drawn(found))
-    else:
-        write_out(picture, svg(found, report), force=force)
+    write_out(picture, svg(found, report), force=force)
     for problem in report.problems:
         sys.stderr.write(f"✗ {problem.seen}\n")
     return ExitCode.OK if report.ok else ExitCode.USAGE
@@ -432,18 +425,3 @@ def fly_show(
         return ExitCode.OK if is_flown else ExitCode.FAILED
 
     return run_async(run())
-
-
-def _drawn(show: Show) -> list[str]:
-    from m100link.apps.cli.display import line_plot, track_plot
-
-    width = max(20, min(out.width, 100))
-    samples = places(show)
-    # One line through all of them would join the end of a track with the beginning of the next.
-    dots = [(place[0], place[1]) for _, there in samples for place in there]
-    names = [((t.points[0].north, t.points[0].east), t.name) for t in show.tracks]
-    lines = track_plot([], columns=width, rows=min(20, width // 3), marks=names, dots=dots)
-    if len(show.tracks) > 1:
-        lines += ["", "least distance of any two"]
-        lines += line_plot(distances(show), unit="m", columns=width - 10, rows=6)
-    return lines

@@ -82,7 +82,6 @@ ALONE = [
     ("fleet agent sim:// --show-config", SETTING),
     ("fleet router", "listen"),
     ("fleet show check SHOW", "ok problems remarks duration_s closest tracks"),
-    ("fleet show preview SHOW", "ok problems remarks duration_s closest tracks"),
     ("log info LOG", "phases control alarms maxima ended line lost_share"),
     ("log report LOG", "at_s kind who text flown"),
     ("log share LOG -o NEW", "removed file"),

@@ -162,10 +162,7 @@ def test_a_picture_is_written_and_not_over_another(cli: CommandLine, tmp_path: P
     assert picture.read_text() != "mine"
 
 
-def test_a_picture_goes_to_the_terminal_or_to_a_pipe(cli: CommandLine, crossing: str) -> None:
-    drawn = cli("fleet", "show", "preview", FILE, "--table").out
-    assert all(name in drawn for name in ("a1", "a2", "a3", "a4", "a5"))
-    assert "least distance of any two" in drawn
+def test_a_picture_goes_to_a_pipe(cli: CommandLine, crossing: str) -> None:
     outcome = cli("fleet", "show", "preview", crossing, "-")
     assert outcome.status == ExitCode.USAGE
     assert outcome.out.startswith("<svg")
