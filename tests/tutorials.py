@@ -27,6 +27,7 @@ import time
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 from m100link.errors import M100Error
@@ -140,7 +141,7 @@ class Reader:
     """Types what a page says, in a folder of its own, in real time.
 
     Args:
-        folder: Where; empty, or a copy of the source that the page lets one install.
+        folder: Where; its folder `clone` has the source, if that is to be installed.
         replaced: Texts of the page that are others here, such as ports.
         python: The Python that stands for the environment of the page.
         installs: Whether it installs as well.
@@ -156,18 +157,17 @@ class Reader:
         installs: bool = False,
         environment: Mapping[str, str] | None = None,
     ) -> None:
-        self.folder, self.replaced, self.installs = folder, replaced or {}, installs
+        self.folder, self.replaced, self.installs = folder / "clone", replaced or {}, installs
         kept = {k: v for k, v in os.environ.items() if not k.startswith(("M100LINK_", "XDG_"))}
         self.environment = {**kept, "PYTHONUNBUFFERED": "1", **(environment or {})}
-        tools = folder / (".venv/bin" if installs else "bin")
+        tools = self.folder / (".venv/bin" if installs else "bin")
         self._prepend("PATH", tools)
         if installs:
             self.environment.pop("PYTHONPATH", None)
             return
         self.environment["HOME"] = str(folder)
         self._prepend("PYTHONPATH", ROOT)
-        (folder / "examples").symlink_to(ROOT / "examples")
-        tools.mkdir()
+        tools.mkdir(parents=True)
         for name, words in {"m100link": "-m m100link", "python": "", "pytest": "-m pytest"}.items():
             (tools / name).write_text(f'#!/bin/sh\nexec {python} {words} "$@"\n')
             (tools / name).chmod(0o755)
@@ -178,6 +178,9 @@ class Reader:
 
     def follow(self, tutorial: str) -> None:
         with ExitStack() as terminals:
+            # Simulators of others are not those of this reader, and paths of sockets are short.
+            own = terminals.enter_context(TemporaryDirectory())
+            self.environment["XDG_RUNTIME_DIR"] = own
             for number, block in enumerate(blocks(tutorial)):
                 text = block.text
                 for old, new in self.replaced.items():
@@ -221,6 +224,10 @@ class Reader:
                             process.wait(PATIENCE / 6)
 
     def _type(self, text: str, block: Block) -> None:
+        if found := re.search(r"^cd (\S+)$", text, re.MULTILINE):
+            self.folder = (self.folder / found[1]).resolve()
+            self.folder.mkdir()
+            return
         for line in re.findall(r"^export (.*)$", text, re.MULTILINE):
             self.environment |= dict(re.findall(r"(\w+)=(\S+)", line))
         done = subprocess.run(
@@ -243,7 +250,7 @@ class Reader:
 if __name__ == "__main__":
     asked, place = sys.argv[1], Path(sys.argv[2])
     left_out = shutil.ignore_patterns(".git", ".venv", ".nox", "_build", "__pycache__")
-    shutil.copytree(ROOT, place, ignore=left_out)
+    shutil.copytree(ROOT, place / "clone", ignore=left_out)
     began = time.monotonic()
     Reader(place, installs=True).follow(asked)
     print(f"{asked}: {time.monotonic() - began:.0f} s")  # noqa: T201 - the result
