@@ -192,7 +192,7 @@ def check(session: nox.Session) -> None:
 def full(session: nox.Session) -> None:
     """Everything, on every Python that is installed: each night, and before a release. Hours."""
     run_kinds(session, *FULL)
-    for name in ("coverage", "interop-mavlink", "interop-ros2"):
+    for name in ("coverage", "interop-mavlink", "interop-ros2", "newcomers"):
         session.notify(name)
     for version in PYTHONS:
         session.notify(f"pythons-{version}")
@@ -265,6 +265,7 @@ ORDERS = "Orders to a fleet in bad weather, and over cut cables to an agent that
 FUZZ = "Mutated inputs for whatever reads bytes of others; half an hour. `-- --engine atheris`."
 SOAK = "A simulated day, a real hour, a thousand connections: nothing grows. `-- --seconds 600`."
 THOUSAND = "A thousand aircraft of a fleet for ten minutes, real time. `-- --seconds 60` less."
+NEWCOMERS = "Tutorials from an empty environment, real time; half an hour. `-- fleet` for one."
 BENCH = "The benchmarks, beside their rivals on the same machine; `-- frames` for one program."
 BUILD = "Source archive, wheel (the same bit by bit when built again), and its bill of materials."
 measured = pytest(*workers(2), "-m", "not pty", *VIRTUAL)
@@ -279,6 +280,7 @@ tool("orders", ORDERS, "tests.faults.fleet_orders", "tests.faults.fleet_kills")
 tool("fuzz", FUZZ, "tests.fuzz.run")
 tool("soak", SOAK, "tests.soak.run")
 tool("thousand", THOUSAND, "tests.soak.fleet")
+tool("newcomers", NEWCOMERS, "tests.tutorials")
 tool("bench", BENCH, "benchmarks", groups="bench browser uvloop")
 tool("build", BUILD, "tests.release", groups="release")
 

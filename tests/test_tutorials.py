@@ -52,8 +52,8 @@ def test_programs_of_a_tutorial_do_what_it_says(
     assert virtual.ran == programs
 
 
-@pytest.mark.slow
 @pytest.mark.pty
+@pytest.mark.timeout(1800)
 @pytest.mark.parametrize("tutorial", ["offboard", "tests", "fleet"])
 def test_a_tutorial_is_typed_as_it_stands(tutorial: str, tmp_path: Path) -> None:
     if tutorial == "fleet":

@@ -8,8 +8,8 @@ What the blocks of such a page are:
 - what the block before it prints (``text``): each line comes, in this order. Numbers may be others,
   and ``…`` stands for anything.
 
-``python -m tests.tutorials PAGE FOLDER`` follows a page as a newcomer does, in a copy of this tree:
-it installs what the page says, and nothing else. ``nox`` has all of that installed already.
+``python -m tests.tutorials`` (``nox -s newcomers``) follows pages as a newcomer does, in a copy of
+this tree: it installs what the page says, and nothing else. Tests have that installed already.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from __future__ import annotations
 import ast
 import asyncio
 import inspect
+import json
 import os
 import re
 import shutil
@@ -247,10 +248,31 @@ class Reader:
             time.sleep(6.0)  # the reader reads the error; the aircraft lands meanwhile
 
 
-if __name__ == "__main__":
-    asked, place = sys.argv[1], Path(sys.argv[2])
+def begin_with_nothing(tutorial: str, folder: Path) -> None:
+    """Copy this tree, install what the page says and nothing else, and do what it says."""
     left_out = shutil.ignore_patterns(".git", ".venv", ".nox", "_build", "__pycache__")
-    shutil.copytree(ROOT, place / "clone", ignore=left_out)
-    began = time.monotonic()
-    Reader(place, installs=True).follow(asked)
-    print(f"{asked}: {time.monotonic() - began:.0f} s")  # noqa: T201 - the result
+    shutil.copytree(ROOT, folder / "clone", ignore=left_out)
+    reader = Reader(folder, installs=True)
+    reader.follow(tutorial)
+    cells = [one.text.rstrip() for one in blocks(tutorial) if one.kind == "python" and not one.name]
+    if cells:
+        kept: dict[str, Any] = {
+            "cell_type": "code",
+            "metadata": {},
+            "execution_count": None,
+            "outputs": [],
+        }
+        listed = [{**kept, "id": f"c{number}", "source": one} for number, one in enumerate(cells)]
+        notebook = {"cells": listed, "metadata": {}, "nbformat": 4, "nbformat_minor": 5}
+        (reader.folder / "own.ipynb").write_text(json.dumps(notebook), encoding="utf-8")
+        environment = reader.environment
+        command = ("jupyter", "execute", "--kernel_name=python3", "own.ipynb")
+        subprocess.run(command, cwd=reader.folder, env=environment, check=True)
+
+
+if __name__ == "__main__":
+    for asked in sys.argv[1:] or PAGES:
+        with TemporaryDirectory() as place:
+            began = time.monotonic()
+            begin_with_nothing(asked, Path(place))
+        print(f"{asked}: {time.monotonic() - began:.0f} s", flush=True)  # noqa: T201 - the result

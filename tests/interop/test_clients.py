@@ -68,6 +68,7 @@ def is_north(quaternion: dict[str, float]) -> bool:
     return max(abs(value) for value in turn) < 0.05
 
 
+@pytest.mark.timeout(1800)
 def test_the_tutorial_flies_by_roslibpy(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as one:
         port = str(one.getsockname()[1])

@@ -189,6 +189,7 @@ def test_the_example_that_needs_no_library_flies_a_square(firmware: str) -> None
 
 
 @pytest.mark.skipif(GRPC == "mavsdk", reason="it is written for mavsdk-grpc")
+@pytest.mark.timeout(1800)
 def test_the_tutorial_flies_a_square(tmp_path: Path) -> None:
     port = str(free_port())
     bridge = f"mavlink sim:// --listen udp://127.0.0.1:0 --to udp://127.0.0.1:{port}"
