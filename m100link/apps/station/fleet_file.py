@@ -131,8 +131,7 @@ async def running_part(
     rights = Rights.read(path)
     if settings is not None:
         fleet = agent_of(rights, name, is_real=is_real)
-        place = rights.aircraft.index(name)
-        async with serving_fleet({name: settings}, fleet, tell, place):
+        async with serving_fleet({name: settings}, fleet, tell, rights.aircraft.index(name)):
             yield {"agent": name}
     elif name in rights.routers:
         async with routing(rights, name):
