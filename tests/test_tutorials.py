@@ -23,6 +23,9 @@ def test_a_tutorial_begins_with_nothing_and_grows(tutorial: str) -> None:
     assert first[2].startswith("pip install '.[cli,")
     programs = [one for one in found if one.kind == "python"]
     assert len(programs) >= 1
+    lines = "".join(one.text for one in found).splitlines()
+    # `m100link docs` would break a longer one, and what is copied from there would not run.
+    assert [line for line in lines if len(line) > 98] == []
     saved = {one.name for one in programs}
     typed = "".join(one.text for one in found if one.kind == "sh")
     assert set(re.findall(r"python (\w+\.py)", typed)) <= saved
