@@ -4,20 +4,26 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
+import re
 import subprocess
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Iterator
+from pathlib import Path
 from unittest.mock import MagicMock
 
 import pytest
 import serial
 
-from m100link import AuthorityLost, GuardRefused, LinkLost, M100Error, TelemetryStalled, testing
+from m100link import errors, testing
 from m100link.protocol import Setpoint
 from m100link.sim import LineFaults, VirtualClockEventLoop
 from m100link.testing import ConnectableAircraft, VirtualClock, VirtualPort, VirtualSerialPair
 from tests.waiting import PATIENCE
+
+PAGE = Path(__file__).parent.parent / "docs" / "howto" / "test-your-program.md"
+NORTH = Setpoint.velocity(north=1.0, east=0.0, up=0.0, yaw_rate_deg_s=0.0)
 
 
 def test_without_pytest_it_says_what_it_needs() -> None:
@@ -88,55 +94,52 @@ async def test_virtual_aircraft_flies_with_the_library(
     assert virtual_aircraft.height == 0.0
 
 
-def pilot_leaves(aircraft: ConnectableAircraft) -> None:
-    aircraft.leave_f()
+def happenings() -> Iterator[tuple[str, str, float]]:
+    """The table of the manual: what a test does, the error of the program, within how many s."""
+    table = PAGE.read_text("utf-8").partition("| The test does | The program gets |")[2]
+    for does, gets in re.findall(r"^\| (`.*) \| (.*) \|$", table.partition("\n\n")[0], re.M):
+        error = re.search(r"errors\.(\w+)`, .*?within ([\d.]+) s", gets)
+        assert error or gets == "nothing"
+        name, within = error.groups() if error else ("", "10")
+        yield from ((one, name, float(within)) for one in re.findall("`(.+?)`(?:, | |$)", does))
 
 
-def gps_fades(aircraft: ConnectableAircraft) -> None:
-    aircraft.gps_health = 1
-
-
-def battery_runs_low(aircraft: ConnectableAircraft) -> None:
-    aircraft.battery_percent = 12
+def test_the_table_of_the_manual_is_read() -> None:
+    assert {name for _, name, _ in happenings()} >= {"AuthorityLost", "SetpointsIgnored", ""}
 
 
 @pytest.mark.anyio
 @pytest.mark.parametrize("by_ticks", [True, False])
-@pytest.mark.parametrize(
-    ("happens", "seen"),
-    [
-        (pilot_leaves, AuthorityLost),
-        (ConnectableAircraft.app_takes_control, AuthorityLost),
-        (ConnectableAircraft.rc_lost, AuthorityLost),
-        (gps_fades, GuardRefused),
-        (battery_runs_low, GuardRefused),
-        (ConnectableAircraft.unplug, LinkLost),
-        (ConnectableAircraft.reboot, TelemetryStalled),
-        (lambda one: one.set_faults(LineFaults(loss=1.0)), TelemetryStalled),
-        (lambda one: one.set_faults(LineFaults(loss=0.05)), None),
-        (lambda one: one.set_wind(north=2.0, east=0.0), None),
-    ],
-)
+@pytest.mark.parametrize(("happens", "seen", "within"), list(happenings()))
 async def test_what_happens_to_the_aircraft_is_what_the_manual_says_a_program_sees(
-    virtual_aircraft: ConnectableAircraft,
-    happens: Callable[[ConnectableAircraft], object],
-    seen: type[M100Error] | None,
-    by_ticks: bool,
+    virtual_aircraft: ConnectableAircraft, happens: str, seen: str, within: float, by_ticks: bool
 ) -> None:
-    told = contextlib.nullcontext() if seen is None else pytest.raises(seen)
+    clock = asyncio.get_running_loop().time
+    at, heard_at = math.inf, math.nan
+
+    def act() -> None:
+        nonlocal at
+        at = clock()
+        exec(f"one.{happens}", {"one": virtual_aircraft, "LineFaults": LineFaults})
+
+    raises = pytest.raises(getattr(errors, seen)) if seen else contextlib.nullcontext()
     async with virtual_aircraft.connect() as aircraft:
         await aircraft.activate(virtual_aircraft.credentials)
-        with told:
+        with raises:
             async with aircraft.control() as control:
                 await control.take_off()
-                asyncio.get_running_loop().call_later(3.0, happens, virtual_aircraft)
-                if not by_ticks:
-                    await control.fly_to(north=40.0, east=0.0, up=2.0)
-                    return
-                async for tick in control.ticks():
-                    if tick.elapsed > 10.0:
-                        break
-                    control.send(Setpoint.velocity(north=1.0, east=0.0, up=0.0, yaw_rate_deg_s=0.0))
+                asyncio.get_running_loop().call_later(3.0, act)
+                try:
+                    if not by_ticks:
+                        await control.fly_to(north=40.0, east=0.0, up=2.0)
+                    async for tick in control.ticks():
+                        if tick.elapsed > 10.0:
+                            break
+                        control.send(NORTH)
+                finally:
+                    heard_at = clock()
+    assert at <= heard_at
+    assert not seen or heard_at - at <= within
 
 
 @pytest.mark.parametrize("name", ["wind", "battery", "battery_percents"])
