@@ -391,7 +391,7 @@ class VirtualRc:
                 self._renewed_at = self._clock()
 
     async def toggle_motors(self) -> None:
-        """Start or stop the motors, by both sticks in the corner for 2 s. On the ground alone.
+        """Start or stop the motors, by both sticks in the corner for 2.3 s. On the ground alone.
 
         Raises:
             TaskRefused: It is in the air, or nobody knows; nothing was sent.
