@@ -237,7 +237,7 @@ class MissionAborted(
     M100Error,
     code="M100-MISSION-ABORTED",
     cause="the pilot, a low battery, a limit zone or lost GPS",
-    remedy="`code` is the aircraft's reason; a new upload flies it from `index` on",
+    remedy="`code` is the aircraft's reason; upload its waypoints from `index` on to fly the rest",
 ):
     """A mission was flying and the aircraft broke it off.
 

@@ -174,8 +174,8 @@ class NoValidFrame(
 class NoAnswer(
     NoAircraft,
     code="M100-NO-ANSWER",
-    cause="our transmit wire does not reach the aircraft, or the wrong key",
-    remedy="check the wire from our TX to the aircraft's RX",
+    cause="our transmit wire does not reach the aircraft, or the line is slow",
+    remedy="check the wire from our TX to the aircraft's RX; on a slow line connect(timeout=…)",
 ):
     """Frames arrive from the aircraft, but it does not answer requests."""
 
@@ -223,6 +223,6 @@ class NotAllowed(
     FleetError,
     code="M100-NOT-ALLOWED",
     cause="this identity has no right to give that order to this aircraft",
-    remedy="m100link fleet acl check",
+    remedy="`m100link fleet acl check FILE` says what each identity may do",
 ):
     """The agent refused the sender of the order."""

@@ -322,7 +322,7 @@ def _keyed(one: Identity, path: Path) -> Identity:
         return one
     if _KEY.fullmatch(text) is None:
         raise BadRights(
-            f"{place} has no public key", remedy="copy it anew, or m100link fleet make writes it"
+            f"{place} has no public key", remedy="copy it, or `m100link fleet make FILE` writes it"
         )
     return replace(one, public_key=bytes.fromhex(text))
 
@@ -590,7 +590,7 @@ class Gate:
                 reason=Reason.UNKNOWN_KEY,
                 signer=order.signer,
                 cause="the fleet file on board has no public_key of that name",
-                remedy="copy pki/NAME.pub there, which `m100link fleet make` wrote",
+                remedy="copy pki/NAME.pub there, which `m100link fleet make FILE` wrote",
             )
         try:
             key.verify(order.signature, order.signed())

@@ -433,7 +433,7 @@ def _authority(folder: Path, now: datetime) -> tuple[x509.Certificate, ec.Ellipt
     except OSError as error:
         raise BadAuthority(
             f"there is no authority in {folder}: {error.strerror}",
-            remedy="run m100link fleet make where the fleet file and the authority's ca.key are",
+            remedy="run m100link fleet make FILE where FILE and the authority's ca.key are",
         ) from error
     except (ValueError, TypeError) as error:
         raise BadAuthority(

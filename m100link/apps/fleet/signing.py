@@ -112,7 +112,7 @@ def _warn_of_end(certificate: Path, name: str) -> None:
     if left < timedelta(days=3):
         _logger.warning(
             "the certificate of %s expire%s on %s: no router behind tls/ lets it in then; renew it "
-            "by m100link fleet make",
+            "by m100link fleet make FILE",
             name,
             "s" if left > timedelta() else "d",
             f"{ends:%Y-%m-%d}",

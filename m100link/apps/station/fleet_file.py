@@ -301,7 +301,7 @@ def _of_files(rights: Rights) -> list[FleetFault]:
     own = {*rights.routers, *rights.aircraft, *rights.identities}
     for name, ends, since in listed(rights.pki):
         if since and name in own:
-            why = "give it another name in the fleet file, then m100link fleet make"
+            why = f"give it another name in {rights.path}, then m100link fleet make {rights.path}"
             found.append(FleetFault("revoked name", name, f"{name} is revoked since {since}", why))
         elif ends <= datetime.now(UTC) and name in own:
             seen = f"the certificate of {name} expired on {ends:%Y-%m-%d}"

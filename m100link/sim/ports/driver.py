@@ -486,7 +486,7 @@ def check_clock(url: str, loop: asyncio.AbstractEventLoop) -> None:
             f"{there:g}",
             cause="a virtual aircraft in a program lives on the clock of its event loop",
             remedy="asyncio.Runner(loop_factory=m100link.sim.loop_factory(SPEED)), "
-            "infinity for max; or m100link.sync, which makes its own; or `m100link sim --speed`",
+            "infinity for max; or m100link.sync, which makes its own; or `m100link sim --speed N`",
         )
 
 

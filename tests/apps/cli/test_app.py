@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import contextlib
 import io
 import logging
@@ -405,3 +406,55 @@ def test_ctrl_c_ends_a_verb_by_its_stop_path_and_not_at_once(cli: CommandLine) -
         assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+# -- command lines in texts of the program ---------------------------------------------------------
+
+TEXTS_THAT_NAME_A_VERB = {"log csv", "log report", "log recover", "log ros2"}
+"""Names of the program in files, and hints that name the log elsewhere."""
+
+COMMAND = re.compile(r"m100link ([^`\n;|]+)")
+VALUE = re.compile(r" [^a-z ]| [a-z]+[\d.:/]| --| sim")  # FILE, a1, fleet.toml, /dev/ttyUSB0
+
+
+def texts(path: Path) -> Iterator[str]:
+    """The strings of a module, but for docstrings; a field of one is X."""
+    program = ast.parse(path.read_text(encoding="utf-8"))
+    parts = {
+        id(part)
+        for node in ast.walk(program)
+        for part in (
+            node.values
+            if isinstance(node, ast.JoinedStr)
+            else [node.value]
+            if isinstance(node, ast.Expr)
+            else []
+        )
+    }
+    for node in ast.walk(program):
+        if isinstance(node, ast.JoinedStr):
+            values = [getattr(part, "value", None) for part in node.values]
+            yield "".join(one if isinstance(one, str) else "X" for one in values)
+        elif (
+            isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in parts
+        ):
+            yield node.value
+
+
+def test_a_command_line_in_a_text_has_the_arguments_that_its_verb_needs() -> None:
+    needs = {
+        verb
+        for verb, found in verbs()
+        for one in found.assemble_argument_collection(default_parameter=app.default_parameter)
+        if one.required and not one.names[0].startswith("--")
+    }
+    lacking, seen = set(), 0
+    for path in Path(m100link.__file__).parent.rglob("*.py"):
+        for line in (f"{found[1]} " for one in texts(path) for found in COMMAND.finditer(one)):
+            verb = max((one for one in needs if line.startswith(f"{one} ")), key=len, default=None)
+            if verb is not None and verb not in TEXTS_THAT_NAME_A_VERB:
+                seen += 1
+                if not VALUE.match(line.removeprefix(verb)):
+                    lacking.add(f"{path.name}: m100link {line}")
+    assert lacking == set()
+    assert seen > 30

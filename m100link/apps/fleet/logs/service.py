@@ -147,7 +147,7 @@ class LogService:
             raise UsageError(
                 f"{self._keys.name} writes no audit log",
                 cause="its agent has no certificate to sign it by",
-                remedy="run it from a fleet file: m100link fleet up",
+                remedy="run it from a fleet file: m100link fleet up FILE",
             )
         data = self._audit.since(question.offset, words.MOST_PIECE)
         if again := await self._may_go(len(data)):

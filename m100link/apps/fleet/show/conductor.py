@@ -164,7 +164,7 @@ class Conductor:
         raise Unreachable(
             f"{track.name} does not answer",
             cause="no agent of that name is present, or the router lets nothing pass to it",
-            remedy="m100link fleet list; m100link fleet acl check",
+            remedy="m100link fleet list; m100link fleet acl check FILE",
         )
 
     async def _do(

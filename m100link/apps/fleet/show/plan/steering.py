@@ -101,7 +101,7 @@ class TrackSteering:
                 measured=needed,
                 limit=self._fastest,
                 cause="the guards of its agent are narrower than those of the check",
-                remedy="m100link fleet show check FILE --max-speed",
+                remedy=f"m100link fleet show check FILE --max-speed {self._fastest:.1f}",
             )
 
     def require_ready(self, early: float, bound: float, here: Vector) -> None:
