@@ -159,10 +159,10 @@ def open_sockets(
                 raise UsageError(
                     f"there is no port {port}", remedy=f"choose 1 to {_LAST_PORT}, or 0 for any"
                 )
-            busy = "another station, or a real rosbridge, runs on this machine"
-            remedy = "end it, or choose another --port"
-            address = settings.host, port
-            one = bound(stack, address, socket.SOCK_STREAM, busy=busy, remedy=remedy)
+            busy = "another station, or another program, serves at that port"
+            option = {"rosbridge": "port", "console": "console-port"}.get(name, name)
+            remedy = f"end it, or choose another --{option}"
+            one = bound(stack, (settings.host, port), socket.SOCK_STREAM, busy=busy, remedy=remedy)
             one.listen(_BACKLOG)
             opened[name].append(one)
     return Sockets(opened)

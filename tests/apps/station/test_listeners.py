@@ -137,6 +137,20 @@ def test_what_is_opened_is_what_the_command_and_the_settings_ask_for(
     assert "metrics: not served, for that needs rosbridge" in caplog.text
 
 
+@pytest.mark.parametrize("setting", ["port", "console_port", "metrics_port", "foxglove_port"])
+async def test_the_remedy_for_a_port_that_is_taken_names_the_option_of_that_port(
+    setting: str,
+) -> None:
+    own = {"metrics_port": "--metrics", "foxglove_port": "--foxglove"}  # as the command has them
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        ports = {"port": 0, "console_port": 0} | {setting: other.getsockname()[1]}
+        async with AsyncExitStack() as stack:
+            with pytest.raises(PortBusy) as busy:
+                open_sockets(stack, replace(Settings(), **ports), with_console=True)
+    option = own.get(setting, f"--{setting.replace('_', '-')}")
+    assert busy.value.remedy == f"end it, or choose another {option}"
+
+
 def test_no_tcp_port_is_bound_when_the_settings_of_a_front_cannot_be(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
