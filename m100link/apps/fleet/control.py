@@ -154,7 +154,7 @@ class FleetControl:
             )
         return errors.OutcomeUnknown(
             f"{self._keys.name} gave no answer for {LEASE_LIFETIME:g} s: the lease has ended",
-            remedy="the aircraft hovers, then does what --lost of its agent says",
+            remedy="the aircraft hovers, then does what `lost` of its agent says",
         )
 
     def _held(self) -> Lease:

@@ -142,7 +142,7 @@ class FileOrderLog:
             raise UsageError(
                 f"{self._path}: another agent has it",
                 cause="two agents of one name run on this computer",
-                remedy="end the other one, or name another folder by --order-log",
+                remedy="end the other one, or name another folder: fleet agent --order-log",
             )
         self._lock, before = lock, self._lock
         if before >= 0:
@@ -434,7 +434,7 @@ def _failed(path: Path, error: Exception) -> UsageError:
     return UsageError(
         f"{path}: {getattr(error, 'strerror', None) or str(error) or type(error).__name__}",
         cause="without this file a restarted agent could carry out an order twice",
-        remedy="make it writable, or name another folder by --order-log",
+        remedy="make it writable, or name another folder: fleet agent --order-log",
     )
 
 

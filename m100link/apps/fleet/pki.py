@@ -149,7 +149,7 @@ def issue(
         raise BadAuthority(
             f"a certificate for {'a router' if kind is Kind.ROUTER else f'the {kind.value} {name}'}"
             f" with {len(hosts)} hosts",
-            remedy="give --host for a router, and only for a router: --host base --host 10.0.0.1",
+            remedy="a router, and it alone, needs hosts: in [router.NAME] of the fleet file",
         )
     authority, its_key = _authority(folder, now)
     since = _revoked(folder, authority).names.get(name)
@@ -467,7 +467,7 @@ def _write(files: dict[Path, bytes], *, force: bool) -> None:
         raise BadAuthority(
             f"{there[0]} is there already",
             cause="it was made before, and an overwritten key cannot be restored",
-            remedy="--force overwrites it",
+            remedy="move it away first; `m100link fleet make FILE --renew` renews certificates",
         )
     for path, data in files.items():
         try:

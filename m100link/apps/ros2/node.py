@@ -231,7 +231,7 @@ class Node:
             raise UsageError(
                 f"two nodes are called {self.name.full}",
                 cause="another m100link runs in this domain: calls reach both",
-                remedy="end one of them, or give it --namespace or --node",
+                remedy="end one of them, or give it another namespace or node name",
             )
         await self.control.obtain()
 

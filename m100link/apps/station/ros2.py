@@ -41,7 +41,7 @@ def nodes_of(settings: Settings, aircraft: list[str]) -> dict[str, Names]:
                 raise UsageError(
                     f"{owners[full]} and {owner} would both be {full}",
                     cause="a call to one would move the other, too",
-                    remedy="give them different names by --remap",
+                    remedy="rename one by --remap, which is --ros2-remap of serve and console",
                 )
             owners[full] = owner
     return found

@@ -137,7 +137,7 @@ async def owning(
         else:
             raise UsageError(
                 "no aircraft was named",
-                remedy="give its URL, set M100LINK_URL, or use --sim for a virtual one",
+                remedy="give its URL, sim:// for a virtual one, or set M100LINK_URL",
             )
         agent = await stack.enter_async_context(
             Agent(

@@ -458,3 +458,41 @@ def test_a_command_line_in_a_text_has_the_arguments_that_its_verb_needs() -> Non
                     lacking.add(f"{path.name}: m100link {line}")
     assert lacking == set()
     assert seen > 30
+
+
+def options(path: Path) -> Iterator[str]:
+    for text in texts(path):
+        yield from re.findall(r"(?<![\w-])--[a-z][a-z0-9-]+", text)
+
+
+@pytest.mark.parametrize(
+    ("room", "begins"),
+    [
+        ("fleet", ("fleet ",)),
+        ("mavlink", ("mavlink",)),
+        ("ros2", ("ros2",)),
+        ("doctor", ("doctor", "udev", "first-contact")),
+    ],
+)
+def test_options_that_texts_of_an_application_name_are_those_of_its_verbs(
+    room: str, begins: tuple[str, ...]
+) -> None:
+    has = {
+        name
+        for verb, found in verbs()
+        if verb.startswith(begins)
+        for one in found.assemble_argument_collection(default_parameter=app.default_parameter)
+        for name in one.names
+    }
+    folder = Path(m100link.__file__).parent / "apps" / room
+    lacking = {
+        f"{path.name}: {option}"
+        for path in folder.rglob("*.py")
+        for option in options(path)
+        if option not in has
+    }
+    assert lacking == OF_OTHER_PROGRAMS.get(room, set())
+
+
+OF_OTHER_PROGRAMS = {"doctor": {"port.py: --device", "port.py: --now"}, "fleet": {"pki.py: --now"}}
+"""Of docker and systemctl."""
