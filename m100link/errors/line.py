@@ -77,9 +77,9 @@ class PortFailed(
     LinkError,
     code="M100-PORT-FAILED",
     cause="not a serial port, or a driver that does not take the settings",
-    remedy="the system's own error is chained, and says more",
+    remedy="the system's own error, where it is chained, says more",
 ):
-    """The system could not open the port; its own error is chained."""
+    """The system could not open the port; its own error, if it gave one, is chained."""
 
 
 class LinkLost(
