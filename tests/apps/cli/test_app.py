@@ -24,6 +24,7 @@ from m100link.apps.cli import end_at_once
 from m100link.apps.cli.app import _FORMER, EXAMPLES, VERBS, app, application
 from m100link.apps.cli.manual import _rows
 from m100link.apps.cli.terminal import ExitCode
+from m100link.sim.ports import driver
 from tests.apps.cli.conftest import CommandLine
 from tests.promised import FILE, named, read
 from tests.waiting import PATIENCE
@@ -496,3 +497,13 @@ def test_options_that_texts_of_an_application_name_are_those_of_its_verbs(
 
 OF_OTHER_PROGRAMS = {"doctor": {"port.py: --device", "port.py: --now"}, "fleet": {"pki.py: --now"}}
 """Of docker and systemctl."""
+
+
+def test_a_url_of_a_virtual_aircraft_lacks_the_options_of_sim_that_the_page_names() -> None:
+    arguments = app["sim"].assemble_argument_collection(default_parameter=app.default_parameter)
+    names = {one.names[0].removeprefix("--") for one in arguments if not one.children}
+    page = Path(__file__).parents[3] / "docs" / "reference" / "sim.md"
+    told = re.search(r"A URL has no (.+?)\.", page.read_text("utf-8"), re.DOTALL)
+    assert told is not None
+    of_every_verb = {"json", "log-level", "log-json"}
+    assert names - set(driver._kinds()) == {*re.findall(r"`(.+?)`", told[1]), *of_every_verb}
