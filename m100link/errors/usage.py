@@ -28,7 +28,7 @@ class UsageError(
     ValueError,
     code="M100-USAGE",
     cause="an argument, an option or a file says what cannot be",
-    remedy="read what was seen: the same call is always refused, and nothing was sent",
+    remedy="read what was seen; nothing was sent, and as things are, the call is refused again",
 ):
     """The call itself is wrong; nothing was sent."""
 
