@@ -23,7 +23,7 @@ from m100link.protocol.items import ITEMS
 from m100link.protocol.packet import remember
 from m100link.sim.vehicle.dynamics import STEPS_PER_SECOND
 from m100link.sim.vehicle.sensors import Sensors
-from m100link.wire.crc import frame_crc32, header_crc16_of_word, sequence_crc16
+from m100link.wire.crc import SEQUENCE_CRC16, frame_crc32, header_crc16_of_word
 from m100link.wire.frame import HEADER_SIZE, MAX_FRAME_SIZE, SOF
 
 # -- the telemetry push: which items are due, what they say, and a quick road to the bytes ---------
@@ -114,7 +114,7 @@ class TelemetryPusher:
         for read in plan.readers:
             values += read()
         sent = values if plan.pick is None else plan.pick(values)
-        crc16 = plan.crc16 ^ sequence_crc16(sequence)
+        crc16 = plan.crc16 ^ SEQUENCE_CRC16[sequence]
         body = plan.pack(plan.word, sequence, crc16, _ADDRESS, plan.flags, *sent)
         self.packets += 1
         return body + _CRC32.pack(frame_crc32(body))
