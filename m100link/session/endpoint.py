@@ -139,7 +139,7 @@ class Endpoint:
 # -- the answering side of a session: deliver once, answer repeats from memory (document 1.4) ------
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False, repr=False)
 class _Memory:
     """The last command of one session, and its ack once there is one."""
 
@@ -269,7 +269,7 @@ _REMEMBERED_UNANSWERED = 1024  # numbers per session that went unanswered one af
 _REMEMBERED = 256  # finished requests whose acks are still distinguished from foreign ones
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False, repr=False)
 class _Request:
     """A request that waits for a session, or is in flight on one."""
 
@@ -333,7 +333,8 @@ class Sender:
             PayloadTooLarge: See :func:`~m100link.wire.encode_frame`.
             UsageError: Encryption without a key.
         """
-        sequence = self._next_sequence(NO_ACK_SESSION)
+        sequence = self._sequence
+        self._sequence = (sequence + 1) & 0xFFFF
         cipher = self._cipher_for(encrypted)
         return encode_frame(data, session=NO_ACK_SESSION, sequence=sequence, cipher=cipher)
 
@@ -539,9 +540,7 @@ class Sender:
         """One counter for all sessions, but no number that the other end may remember."""
         # It remembers one per session: the last that it acked, or one sent since whose ack was
         # lost. A request with such a number would be answered from memory and never executed.
-        taken: set[int] = set()
-        if session != NO_ACK_SESSION:
-            taken = self._taken.setdefault(session, set())
+        taken = self._taken.setdefault(session, set())
         while True:
             sequence = self._sequence
             self._sequence = (sequence + 1) & 0xFFFF
