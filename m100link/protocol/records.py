@@ -255,9 +255,10 @@ class Position(NamedTuple):
         Nearer to a pole there is no local frame to measure in.
         """
         return (
-            all(map(math.isfinite, self[:4]))
-            and abs(self.latitude_rad) <= _MAX_LATITUDE_RAD
+            abs(self.latitude_rad) <= _MAX_LATITUDE_RAD
             and abs(self.longitude_rad) <= 2 * math.pi
+            and math.isfinite(self.altitude_m)
+            and math.isfinite(self.height_m)
         )
 
     @property

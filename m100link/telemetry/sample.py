@@ -141,7 +141,7 @@ class AccelerationReader:
 
     def _begin(self, now: float) -> None:
         self._start, self._count = now, 0
-        self._sum = [0.0, 0.0, 0.0]
+        self._sum = 0.0, 0.0, 0.0
         self._speed = self._velocity
 
     def fix(self, mode: AccelerationMode | None) -> None:
@@ -161,13 +161,15 @@ class AccelerationReader:
         if plan.size != len(value):
             return value
         items = plan.items
-        for bit, (offset, unpack) in items.items():
-            if bit == _ATTITUDE:
-                self._attitude, self._attitude_at = unpack(value, offset), now
-            elif bit == _VELOCITY:
-                self._velocity = unpack(value, offset)[:3]
-            elif bit == _STATUS:
-                self._is_standing = unpack(value, offset)[0] == FlightPhase.STANDBY
+        if _ATTITUDE in items:
+            offset, unpack = items[_ATTITUDE]
+            self._attitude, self._attitude_at = unpack(value, offset), now
+        if _VELOCITY in items:
+            offset, unpack = items[_VELOCITY]
+            self._velocity = unpack(value, offset)[:3]
+        if _STATUS in items:
+            offset, unpack = items[_STATUS]
+            self._is_standing = unpack(value, offset)[0] == FlightPhase.STANDBY
         if _ITEM not in items:
             return value
         offset, unpack = items[_ITEM]
@@ -188,11 +190,14 @@ class AccelerationReader:
 
     def _look(self, felt: tuple[float, ...], now: float) -> None:
         """Take a value into the window, and judge a window that is full."""
-        if not all(map(math.isfinite, felt)) or not 0.0 <= now - self._start <= 3 * _WINDOW_S:
+        x, y, z = felt
+        # The sum is finite where all three are: they come as 32 bits.
+        if not math.isfinite(x + y + z) or not 0.0 <= now - self._start <= 3 * _WINDOW_S:
             self._row = 0
             self._begin(now)
             return
-        self._sum = [total + one for total, one in zip(self._sum, felt, strict=True)]
+        sum_x, sum_y, sum_z = self._sum
+        self._sum = sum_x + x, sum_y + y, sum_z + z
         self._count += 1
         if now - self._start < _WINDOW_S or self._count < _LEAST_SAMPLES:
             return

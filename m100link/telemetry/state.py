@@ -62,13 +62,11 @@ def is_finite(record: tuple[Any, ...]) -> bool:
 
 def is_possible(record: tuple[Any, ...]) -> bool:
     """Whether a record can be true: finite numbers, an attitude that is one, a place, a charge."""
-    if isinstance(record, Position):
+    if isinstance(record, (Position, Battery)):
         return record.is_possible
-    if not is_finite(record):
-        return False
     if isinstance(record, Attitude):
         return 0.5 < sum([part * part for part in record]) < 2.0  # a unit quaternion, roughly
-    return not isinstance(record, Battery) or record.is_possible
+    return is_finite(record)
 
 
 # -- when a status of standing is believed: one rule for the flight and for every front ------------
