@@ -41,14 +41,18 @@ def frame_crc32(data: bytes) -> int:
 
 
 def _sequence_crc16() -> array[int]:
-    """The share of each sequence number, in order."""
+    """The share of each sequence number, in order: a row of 256 per value of the high byte."""
     zero = header_crc16(bytes(10))
-    table = array("H", [0])
-    for bit in range(16):  # doubles it as one large number: 65536 single ones delay every import
-        share = header_crc16(bytes(8) + (1 << bit).to_bytes(2, "little")) ^ zero
-        half, shares = table.tobytes(), share.to_bytes(2, sys.byteorder) * len(table)
-        other = int.from_bytes(half, sys.byteorder) ^ int.from_bytes(shares, sys.byteorder)
-        table.frombytes(other.to_bytes(len(half), sys.byteorder))
+    low, high = (
+        [header_crc16(bytes(8) + number.to_bytes(2, order)) ^ zero for number in range(256)]
+        for order in ("little", "big")
+    )
+    table = array("H")
+    # A row at a time, as one number of 256 digits, since 65536 single ones delay every import.
+    row = int.from_bytes(array("H", low).tobytes(), sys.byteorder)
+    ones = int.from_bytes(array("H", [1] * 256).tobytes(), sys.byteorder)
+    for share in high:
+        table.frombytes((row ^ share * ones).to_bytes(512, sys.byteorder))
     return table
 
 
