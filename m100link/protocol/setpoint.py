@@ -190,23 +190,20 @@ class Setpoint(
     _flag: int | None = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        if not self.mode.is_legal:
+        horizontal, vertical, yaw = self.mode
+        if self.mode not in _NUMBERS:
             raise BadSetpoint(
-                f"{self.mode.vertical.name} control does not go with "
-                f"{self.mode.horizontal.name} control",
+                f"{vertical.name} control does not go with {horizontal.name} control",
                 cause="the document lists 14 modes; thrust goes with tilt only",
             )
-        horizontal = LIMITS[self.mode.horizontal]
-        for index, (value, limit) in enumerate(
-            (
-                (self.x, horizontal),
-                (self.y, horizontal),
-                (self.z, VERTICAL_LIMITS[self.mode.vertical]),
-                (self.yaw, YAW_LIMITS[self.mode.yaw]),
-            )
+        flat, climb, turn = LIMITS[horizontal], VERTICAL_LIMITS[vertical], YAW_LIMITS[yaw]
+        if not (
+            flat.low <= self.x <= flat.high
+            and flat.low <= self.y <= flat.high
+            and climb.low <= self.z <= climb.high
+            and turn.low <= self.yaw <= turn.high
         ):
-            if not limit.low <= value <= limit.high:
-                raise self._outside(index, value, limit)
+            raise self._outside(flat, flat, climb, turn)
         flag = None if self._is_steep else _common_flag(self.mode, self.frame, self.stable)
         object.__setattr__(self, "_flag", flag)
 
@@ -216,13 +213,15 @@ class Setpoint(
         is_tilt = self.mode.horizontal is Horizontal.TILT
         return is_tilt and max(abs(self.x), abs(self.y)) > TILT_LIMIT_DEG
 
-    def _outside(self, index: int, value: float, limit: _Range) -> BadSetpoint:
-        """By the name that the program gave the value."""
-        name = (
+    def _outside(self, *limits: _Range) -> BadSetpoint:
+        """The first value outside, by the name that the program gave it."""
+        names = (
             *_HORIZONTAL_NAMES.get((self.mode.horizontal, self.frame), ("roll_deg", "pitch_deg")),
             _VERTICAL_NAMES[self.mode.vertical],
             _YAW_NAMES[self.mode.yaw],
-        )[index]
+        )
+        values = zip(names, (self.x, self.y, self.z, self.yaw), limits, strict=True)
+        name, value, limit = next(one for one in values if not one[2].low <= one[1] <= one[2].high)
         if not math.isfinite(value):
             return BadSetpoint(f"{name} is {value}", cause="a computation that went wrong upstream")
         return BadSetpoint(
@@ -498,44 +497,33 @@ def _common_flag(mode: ControlMode, frame: ReferenceFrame, stable: bool) -> int 
 def _one(
     *, up: float | None, height: float | None, thrust_percent: float | None = None
 ) -> tuple[Vertical, float]:
-    given = [
-        (mode, value)
-        for mode, value in zip(Vertical, (up, height, thrust_percent), strict=True)
-        if value is not None
-    ]
-    if len(given) != 1:
-        raise BadSetpoint(
-            f"{len(given)} vertical values were given, exactly one is needed",
-            remedy="give one of up (m/s), height (m) and, with tilt, thrust_percent",
-        )
-    return given[0]
+    given = up, height, thrust_percent
+    if given.count(None) == 2:
+        for vertical, value in zip(_VERTICAL_NAMES, given, strict=True):
+            if value is not None:
+                return vertical, value
+    raise BadSetpoint(
+        f"{3 - given.count(None)} vertical values were given, exactly one is needed",
+        remedy="give one of up (m/s), height (m) and, with tilt, thrust_percent",
+    )
 
 
 def _yaw(yaw_deg: float | None, yaw_rate_deg_s: float | None) -> tuple[Yaw, float]:
-    if (yaw_deg is None) == (yaw_rate_deg_s is None):
-        raise BadSetpoint(
-            "exactly one yaw value is needed", remedy="give yaw_deg or yaw_rate_deg_s"
-        )
-    if yaw_deg is not None:
+    if yaw_deg is not None and yaw_rate_deg_s is None:
         return Yaw.ANGLE, yaw_deg
-    assert yaw_rate_deg_s is not None
-    return Yaw.RATE, yaw_rate_deg_s
+    if yaw_rate_deg_s is not None and yaw_deg is None:
+        return Yaw.RATE, yaw_rate_deg_s
+    raise BadSetpoint("exactly one yaw value is needed", remedy="give yaw_deg or yaw_rate_deg_s")
 
 
 def _horizontal(
     north: float | None, east: float | None, forward: float | None, right: float | None
 ) -> tuple[ReferenceFrame, float, float]:
-    ground, body = (north, east), (forward, right)
-    if None not in ground and body == (None, None):
-        frame, pair = ReferenceFrame.GROUND, ground
-    elif None not in body and ground == (None, None):
-        frame, pair = ReferenceFrame.BODY, body
-    else:
-        raise BadSetpoint(
-            "the horizontal values do not make one frame",
-            remedy="give north and east (ground frame), or forward and right (body frame)",
-        )
-    x, y = pair
-    assert x is not None
-    assert y is not None
-    return frame, x, y
+    if north is not None and east is not None and forward is None and right is None:
+        return ReferenceFrame.GROUND, north, east
+    if forward is not None and right is not None and north is None and east is None:
+        return ReferenceFrame.BODY, forward, right
+    raise BadSetpoint(
+        "the horizontal values do not make one frame",
+        remedy="give north and east (ground frame), or forward and right (body frame)",
+    )
