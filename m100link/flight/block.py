@@ -420,7 +420,7 @@ class SetpointSender:
         self.block.require_flying("a setpoint")
         self.require_autopilot_idle("a setpoint")
         check_lifetime(lifetime, is_long_allowed=is_long_allowed)
-        setpoint.control_flag(self._requests.firmware)  # refused here, not in the sending task
+        setpoint.encode(self._requests.firmware)  # refused here, not in the sending task
         try:
             self._guards.check(setpoint)
         except GuardRefused:

@@ -55,6 +55,11 @@ GPS_HEALTH_NEEDED = 3  # from this health on the autopilot holds a position (doc
 
 MAX_COMMAND_M_S = 10.0  # of velocity setpoints on each axis (document 3.2)
 
+# Each setpoint asks for them, and Python 3.11 finds no member in its class in less than 0.07 µs.
+_TILT, _VELOCITY, _OFFSET = Horizontal
+_CLIMB, _HEIGHT, _THRUST = Vertical
+_A_SETPOINT = {one: f"a {one.name.lower().replace('_', ' ')} setpoint" for one in Horizontal}
+
 _OFFSET_M_S = 5.0  # as fast as the autopilot flies offsets, at most
 
 STICK_SPEED = 17.0  # m/s by full deflection in P: the fastest that the maker states
@@ -271,17 +276,15 @@ class GuardKeeper:
     def check(self, setpoint: Setpoint) -> None:
         """Raise ``GuardRefused`` unless a setpoint may be sent now."""
         steers = setpoint.mode
-        if steers.vertical is Vertical.THRUST or (
-            steers.horizontal is Horizontal.TILT and (setpoint.x or setpoint.y)
+        if steers.vertical is _THRUST or (
+            steers.horizontal is _TILT and (setpoint.x or setpoint.y)
         ):
             self.check_round_trip("a setpoint of tilt or thrust")
         self._check_battery("a setpoint", known(self._state, Battery))
         position = known(self._state, Position)
         # Without GPS the autopilot ignores velocities and offsets, without a notice; tilt it flies.
-        needs_gps = setpoint.mode.horizontal is not Horizontal.TILT
-        if needs_gps and self.guards.gps:
-            mode = setpoint.mode.horizontal.name.lower().replace("_", " ")
-            self._check_gps(f"a {mode} setpoint", position)
+        if steers.horizontal is not _TILT and self.guards.gps:
+            self._check_gps(_A_SETPOINT[steers.horizontal], position)
         envelope = self.guards.envelope
         if envelope is not None:
             self._check_height(setpoint, envelope, position)
@@ -410,20 +413,20 @@ class GuardKeeper:
             return
         measured = None if position is None else position.height_m
         mode = setpoint.mode.vertical
-        if mode is Vertical.HEIGHT:
+        if mode is _HEIGHT:
             wanted: float | None = setpoint.z
         # Thrust holds no height: whatever its value, it counts as a climb from here.
-        elif mode is Vertical.THRUST or setpoint.z > 0:
+        elif mode is _THRUST or setpoint.z > 0:
             wanted = measured
             if measured is None and not self._may_still_come(Position):
                 raise self._unknown(
-                    "a setpoint that climbs" if mode is Vertical.VELOCITY else "thrust",
+                    "a setpoint that climbs" if mode is _CLIMB else "thrust",
                     Position,
                     guard="envelope",
                     limit=limit,
                     off="Guards(envelope=Envelope(max_height_m=math.inf))",
                 )
-            if measured is not None and mode is Vertical.VELOCITY:
+            if measured is not None and mode is _CLIMB:
                 wanted = measured + setpoint.z * self._late_s
         else:
             return  # level or down: the path back below the limit stays open
@@ -432,7 +435,7 @@ class GuardKeeper:
             raise envelope._refusal(seen, "max_height_m", measured, "descend")
 
     def _check_speed(self, setpoint: Setpoint, envelope: Envelope) -> None:
-        if setpoint.mode.horizontal is not Horizontal.VELOCITY:
+        if setpoint.mode.horizontal is not _VELOCITY:
             return
         speed = math.hypot(setpoint.x, setpoint.y)
         if speed > envelope.max_speed_m_s + 1e-9:
@@ -475,7 +478,7 @@ class GuardKeeper:
     def _reach(self, setpoint: Setpoint, north: float, east: float) -> float:
         """How far from the start a setpoint leads from there; a path back counts as 0 m."""
         step = self._ground(setpoint)
-        is_offset = setpoint.mode.horizontal is Horizontal.POSITION_OFFSET
+        is_offset = setpoint.mode.horizontal is _OFFSET
         if step is None:  # without a heading it may lead anywhere
             return math.hypot(north, east) + is_offset * math.hypot(setpoint.x, setpoint.y)
         late = self._late_s * min(math.hypot(*step), _OFFSET_M_S if is_offset else math.inf)
@@ -488,7 +491,7 @@ class GuardKeeper:
     def _ground(self, setpoint: Setpoint) -> tuple[float, float] | None:
         """The way of a setpoint as north and east: velocity, offset, or direction of a tilt."""
         forward, right = setpoint.x, setpoint.y
-        if setpoint.mode.horizontal is Horizontal.TILT:
+        if setpoint.mode.horizontal is _TILT:
             forward, right = -setpoint.y, setpoint.x  # negative pitch flies forward
         if setpoint.frame is ReferenceFrame.GROUND:
             return forward, right
