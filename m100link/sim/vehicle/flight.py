@@ -107,6 +107,14 @@ class Maneuver(Enum):
     MISSION = "flies a mission"
 
 
+# Python 3.11 finds no member in its class in less than 0.07 µs, and each step asks for these.
+_FOLLOWS, _ONBOARD, _RC = Maneuver.NONE, Device.ONBOARD, Device.RC
+_NOT_YET_UP = FlightPhase.STANDBY, FlightPhase.TAKING_OFF
+_TILT, _, _OFFSET = wire.Horizontal
+_HORIZONTALS, _VERTICALS, _YAWS = tuple(ModelHorizontal), tuple(ModelVertical), tuple(ModelYaw)
+_BODY, _HEIGHT, _THRUST = wire.ReferenceFrame.BODY, wire.Vertical.HEIGHT, wire.Vertical.THRUST
+
+
 class FlightController:
     """Flight status, tasks, setpoints, battery and home point of one aircraft.
 
@@ -151,9 +159,9 @@ class FlightController:
 
         Returns False where the aircraft ignores it.
         """
-        if self.maneuver is not Maneuver.NONE or not self.dynamics.motors_on:
+        if self.maneuver is not _FOLLOWS or not self.dynamics.motors_on:
             return False
-        if setpoint.mode.horizontal is not wire.Horizontal.TILT and self.gps_health < GOOD_GPS:
+        if setpoint.mode.horizontal is not _TILT and self.gps_health < GOOD_GPS:
             return False
         begins = self.now + self.dynamics.airframe.command_delay
         if self._delayed and self._delayed[-1][0] == begins:
@@ -164,11 +172,11 @@ class FlightController:
 
     def _guidance_for(self, setpoint: wire.ReceivedMove | wire.Setpoint) -> DynamicsInput:
         horizontal, vertical, yaw_mode = setpoint.mode
-        body = setpoint.frame is wire.ReferenceFrame.BODY
+        body = setpoint.frame is _BODY
         a, b, up = setpoint.x, setpoint.y, setpoint.z
-        if horizontal is wire.Horizontal.TILT:
+        if horizontal is _TILT:
             a, b = radians(a), radians(b)
-        elif horizontal is wire.Horizontal.POSITION_OFFSET:
+        elif horizontal is _OFFSET:
             motion = self.dynamics
             if body:
                 cosine, sine = math.cos(motion.yaw), math.sin(motion.yaw)
@@ -177,11 +185,11 @@ class FlightController:
         else:
             fastest = self.dynamics.airframe.horizontal_speed
             a, b = min(fastest, max(-fastest, a)), min(fastest, max(-fastest, b))
-        if vertical is wire.Vertical.HEIGHT:
+        if vertical is _HEIGHT:
             up = min(max(0.0, up), self._settings.height_limit)
-        elif vertical is wire.Vertical.THRUST:
+        elif vertical is _THRUST:
             up = max(up, self._settings.minimum_thrust)
-        kind = ModelHorizontal(horizontal.value)
+        kind = _HORIZONTALS[horizontal]
         smooth = setpoint.stable and kind is ModelHorizontal.VELOCITY and math.hypot(a, b) < _STILL
         if smooth:
             kind = ModelHorizontal.BRAKE
@@ -190,9 +198,9 @@ class FlightController:
             a,
             b,
             body=body,
-            vertical=ModelVertical(vertical.value),
+            vertical=_VERTICALS[vertical],
             up=up,
-            yaw_mode=ModelYaw(yaw_mode.value),
+            yaw_mode=_YAWS[yaw_mode],
             yaw=radians(min(180.0, max(-180.0, setpoint.yaw))),
             smooth=smooth,
         )
@@ -353,7 +361,7 @@ class FlightController:
         if not motion.motors_on:
             self._fall()
             return
-        if self.maneuver is Maneuver.NONE:
+        if self.maneuver is _FOLLOWS:
             guidance = self._orders(device, remote)
         else:
             guidance = self._own_guidance()
@@ -365,7 +373,7 @@ class FlightController:
         motion.step(guidance)
         if motion.on_ground:
             self._on_ground(is_idle=guidance is self._hover or guidance is self._level)
-        elif self.phase is FlightPhase.STANDBY or self.phase is FlightPhase.TAKING_OFF:
+        elif self.phase in _NOT_YET_UP:
             self.phase = FlightPhase.IN_AIR
 
     def _fall(self) -> None:
@@ -396,7 +404,7 @@ class FlightController:
         self.battery_percent = left if left > 0.0 else 0.0
 
     def _orders(self, device: Device, remote: PilotRemote) -> DynamicsInput:
-        if device is Device.ONBOARD:
+        if device is _ONBOARD:
             while self._delayed and self._delayed[0][0] <= self.now - 0.5 * STEP_S:
                 begins, self._guidance = self._delayed.popleft()
                 self._setpoint_until = begins + self._settings.movement_timeout
@@ -408,7 +416,7 @@ class FlightController:
                     self.setpoint = None
                 if not self.dynamics.on_ground:
                     self.timeouts += 1
-        elif device is Device.RC:
+        elif device is _RC:
             sticks = remote.sticks()
             if sticks.are_moved:
                 return by_sticks(sticks, self.dynamics.airframe, self.gps_health >= GOOD_GPS)

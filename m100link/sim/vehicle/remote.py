@@ -223,7 +223,7 @@ class PilotRemote:
             round(sticks.pitch * _FULL),
             round(sticks.yaw * _FULL),
             round(sticks.throttle * _FULL),
-            sticks.mode.value,
+            int(sticks.mode),
             GEAR_DOWN if sticks.gear_down else GEAR_UP,
         )
 
