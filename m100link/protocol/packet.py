@@ -20,13 +20,13 @@ from m100link.wire.frame import maker
 R = TypeVar("R", bound=tuple[Any, ...])
 V = TypeVar("V")
 _Values = tuple[Any, ...]
-_Reader = Callable[[bytes, int], list[Any]]
+_Reader = Callable[[bytes, int], Any]
 
 _FLAGS_SIZE = 2
 _MOST_FLAG_WORDS = 256  # an aircraft sends some dozens, a hostile line all 4096
 
 
-def _reader(items: Sequence[Item], profile: FirmwareProfile) -> _Reader:
+def _reader(items: Sequence[Item], profile: FirmwareProfile, result: str) -> _Reader:
     """A function that reads the records of these items, which follow each other from an offset.
 
     It is written out and compiled, like the constructor of a named tuple: values go from the bytes
@@ -35,6 +35,8 @@ def _reader(items: Sequence[Item], profile: FirmwareProfile) -> _Reader:
         def read(value, offset):
             (time_tick, battery_percent,) = unpack(value, offset)
             return [time((time_tick, None, None, tick_hz)), battery((battery_percent,))]
+
+    ``result``: source of what it returns, with ``{}`` where the records go.
     """
     # Every name in the source is one of the table of items: no text from outside is compiled.
     names: dict[str, Any] = {}
@@ -51,7 +53,7 @@ def _reader(items: Sequence[Item], profile: FirmwareProfile) -> _Reader:
     source = f"""
 def read(value, offset):
     ({"".join(values)}) = unpack(value, offset)
-    return [{", ".join(records)}]
+    return {result.format(", ".join(records))}
 """
     exec(source, names)
     read: _Reader = names["read"]
@@ -60,7 +62,7 @@ def read(value, offset):
 
 @lru_cache(maxsize=256)
 def _item_reader(bit: int, profile: FirmwareProfile) -> _Reader:
-    return _reader((ITEMS[bit],), profile)
+    return _reader((ITEMS[bit],), profile, "{}")  # the record itself
 
 
 class _Plan:
@@ -93,7 +95,7 @@ class _Plan:
 
     def compile(self) -> _Reader:
         """Make :attr:`read`."""
-        self.read = _reader([ITEMS[bit] for bit in self.items], self.profile)
+        self.read = _reader([ITEMS[bit] for bit in self.items], self.profile, "[{}]")
         return self.read
 
 
@@ -186,8 +188,8 @@ class TelemetryPacket(RecordViews):
                 raise KeyError(record)
             return None
         offset, read = place
-        found: list[R] = read(self.value, offset)
-        return found[0]
+        found: R = read(self.value, offset)
+        return found
 
     def row(self) -> tuple[float, ...]:
         """Every raw value that the packet carries, in wire order, named by :attr:`columns`.
@@ -211,8 +213,8 @@ class TelemetryPacket(RecordViews):
     def records(self) -> list[Any]:
         """Every record that the packet carries, in bit order."""
         plan = self._plan
-        read = plan.read or plan.compile()
-        return read(self.value, _FLAGS_SIZE)
+        found: list[Any] = (plan.read or plan.compile())(self.value, _FLAGS_SIZE)
+        return found
 
     def raw_items(self) -> dict[str, dict[str, Any]]:
         """Raw values by item name and wire field name, for dumps and golden vectors."""

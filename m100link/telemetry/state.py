@@ -78,7 +78,7 @@ _STANDS_UP_M_S = 0.5  # a faster climb or descent contradicts it
 _STANDS_M_S = 2.0  # a faster velocity over ground too; a person who carries it is slower
 _STANDS_M = 0.3  # by which the height may change in that time
 
-_STATUS_FLAG = 1 << BY_RECORD[FlightStatus].bit
+_STATUS_FLAG, _STANDBY = 1 << BY_RECORD[FlightStatus].bit, FlightPhase.STANDBY
 
 
 def _shown(field: tuple[str, object]) -> str:
@@ -199,7 +199,7 @@ class AircraftState(RecordViews):
             arrivals.append(now)
         if flags & _STATUS_FLAG:
             status = sample[FlightStatus]
-            if status.status != FlightPhase.STANDBY:
+            if status.status != _STANDBY:
                 self.believed_status, self._standing = status, None
             else:
                 self._look_at_standing(status, now)
