@@ -43,12 +43,12 @@ PLAIN, SECRET = "decode, one frame per feed", "decode AES, one frame per feed"
 CODEC, CODEC_SECRET = "the other codec", "the other codec, AES"
 
 
-def telemetry_value(tick: int) -> bytes:
-    """Telemetry with all items: 116 bytes, 134 on the wire."""
+def telemetry_value(tick: int, up: float = 9.8) -> bytes:
+    """Telemetry with all items: 116 bytes, 134 on the wire; ``up``: of the acceleration."""
     items: dict[str, list[float]] = {
         "time": [tick],
         "quaternion": [0.7, 0.1, -0.1, 0.7],
-        "acceleration": [0.1, 0.2, 9.8],
+        "acceleration": [0.1, 0.2, up],
         "velocity": [1.5, -2.5, 0.25],
         "angular_velocity": [0.01, 0.02, 0.03],
         "position": [0.3927, 1.9879, 31.5, 12.25, 5],
@@ -62,14 +62,15 @@ def telemetry_value(tick: int) -> bytes:
     return encode_telemetry(items, FIRMWARE)
 
 
+def telemetry_frame(tick: int, cipher: Cipher | None = None, up: float = 9.8) -> bytes:
+    """One telemetry frame, numbered by its tick."""
+    data = b"\x02\x00" + telemetry_value(tick, up)
+    return encode_frame(data, session=0, sequence=tick & 0xFFFF, cipher=cipher)
+
+
 def telemetry_frames(count: int, cipher: Cipher | None = None) -> list[bytes]:
     """That many telemetry frames, as an aircraft numbers them."""
-    return [
-        encode_frame(
-            b"\x02\x00" + telemetry_value(tick), session=0, sequence=tick & 0xFFFF, cipher=cipher
-        )
-        for tick in range(count)
-    ]
+    return [telemetry_frame(tick, cipher) for tick in range(count)]
 
 
 def reads_of(stream: bytes, size: int) -> list[bytes]:
