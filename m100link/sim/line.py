@@ -23,7 +23,7 @@ from m100link.protocol.items import ITEMS
 from m100link.protocol.packet import remember
 from m100link.sim.vehicle.dynamics import STEPS_PER_SECOND
 from m100link.sim.vehicle.sensors import Sensors
-from m100link.wire.crc import SEQUENCE_CRC16, frame_crc32, header_crc16_of_word
+from m100link.wire.crc import SEQUENCE_CRC16, frame_crc32, header_crc16
 from m100link.wire.frame import HEADER_SIZE, MAX_FRAME_SIZE, SOF
 
 # -- the telemetry push: which items are due, what they say, and a quick road to the bytes ---------
@@ -58,7 +58,7 @@ class _Plan:
         self.pack = body.pack
         length = body.size + _CRC32.size
         self.word = SOF | length << 8  # session 0, plain, no ack: the rest is zero
-        self.crc16 = header_crc16_of_word(self.word.to_bytes(8, "little"))
+        self.crc16 = header_crc16(self.word.to_bytes(10, "little"))
 
 
 def _picker(places: list[int], count: int) -> Callable[[Sequence[float]], Sequence[float]] | None:

@@ -62,11 +62,6 @@ def _sequence_crc16() -> array[int]:
 SEQUENCE_CRC16 = _sequence_crc16()
 
 
-def header_crc16_of_word(word: bytes) -> int:
-    """CRC16 of a header whose first eight bytes are ``word`` and whose sequence number is 0."""
-    return header_crc16(word + b"\0\0")
-
-
 @cache
 def sequence_crc16_numbers() -> list[int]:
     """The same for all of them at once, for a decoder, which looks one up for each frame.

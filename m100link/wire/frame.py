@@ -26,7 +26,6 @@ from m100link.wire.crc import (
     SEQUENCE_CRC16,
     ZLIB_START,
     header_crc16,
-    header_crc16_of_word,
     sequence_crc16_numbers,
 )
 
@@ -311,7 +310,7 @@ def _check_kind(size: int, session: int, is_ack: bool, padding: int) -> _Kind:
     word = SOF | length << 8 | (session | is_ack << 5) << 24 | (padding | encryption << 5) << 32
     if len(_kinds) >= _CACHE_LIMIT:
         _kinds.clear()
-    crc16 = header_crc16_of_word(word.to_bytes(8, "little"))
+    crc16 = header_crc16(word.to_bytes(10, "little"))  # with sequence number 0
     kind = _kinds[size, session, is_ack, padding] = Struct(f"<QHH{size}s").pack, word, crc16
     return kind
 
