@@ -348,12 +348,17 @@ class GuardRefused(
         measured: The value that made it refuse.
         limit: The limit that was crossed.
         outside: The target outside of the envelope, in words without the name of the flight.
+        off: The argument by which a program allows it; empty where none does.
     """
 
     guard: str = ""
     measured: object = None
     limit: object = None
     outside: str = ""
+    off: str = ""
+
+    def __str__(self) -> str:
+        return f"{super().__str__()}, or {self.off}" if self.off else super().__str__()
 
 
 class TelemetryError(

@@ -129,7 +129,8 @@ class Envelope:
             outside=outside,
             measured=measured,
             limit=limit,
-            remedy=f"{better}, or control(guards=Guards(envelope=Envelope({name}=…)))",
+            remedy=better,
+            off=f"control(guards=Guards(envelope=Envelope({name}=…)))",
         )
 
 
@@ -262,7 +263,8 @@ class GuardKeeper:
             limit=limit,
             cause="what steers by places of so long ago swings around its target, or passes it",
             remedy="take-off, landing, go-home, missions, climb_to, turn_to and velocities fly at "
-            "any latency; or Guards(round_trip_s=…)",
+            "any latency",
+            off="Guards(round_trip_s=…)",
         )
 
     @property
@@ -308,7 +310,8 @@ class GuardKeeper:
                 guard="envelope",
                 measured=speed,
                 limit=envelope.max_speed_m_s,
-                remedy="move them less, or Guards(envelope=Envelope(max_speed_m_s=…))",
+                remedy="move them less",
+                off="Guards(envelope=Envelope(max_speed_m_s=…))",
             )
         least = max(1.0, deflection)  # the direction counts
         self.check(
@@ -365,8 +368,8 @@ class GuardKeeper:
             measured=None,
             limit=limit,
             cause="the item is not sent, or the sensor does not work (yet)",
-            remedy="set the item to 1 Hz or more in the PC assistant, or switch the guard off: "
-            + (off or _OFF[guard]),
+            remedy="set the item to 1 Hz or more in the PC assistant",
+            off=off or _OFF[guard],
         )
 
     def _check_battery(
@@ -402,7 +405,8 @@ class GuardKeeper:
                 limit=GPS_HEALTH_NEEDED,
                 cause="the autopilot ignores such setpoints without GPS; or the position item "
                 "is not sent, old or impossible",
-                remedy="wait for GPS, fly tilt setpoints, or Guards(gps=False) with Guidance",
+                remedy="wait for GPS, or fly tilt setpoints",
+                off="Guards(gps=False) with Guidance",
             )
 
     def _check_height(

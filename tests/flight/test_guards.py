@@ -111,7 +111,8 @@ async def test_velocity_and_position_need_gps(setpoint: Setpoint, health: int) -
         error = refusal(flown, control, setpoint)
         assert (error.guard, error.measured, error.limit) == ("gps", health, 3)
         assert f"GPS health is {health}, 3 is needed" in error.seen
-        assert "Guards(gps=False)" in error.remedy
+        assert error.off == "Guards(gps=False) with Guidance"
+        assert str(error).endswith("wait for GPS, or fly tilt setpoints, or " + error.off)
 
 
 async def test_gps_health_3_is_enough_and_tilt_needs_none() -> None:
@@ -334,7 +335,7 @@ async def test_without_a_height_nothing_climbs(setpoint: Setpoint, what: str) ->
         error = refusal(flown, control, setpoint)
         assert (error.guard, error.measured, error.limit) == ("envelope", None, 10)
         assert error.seen.startswith(f"{what} was refused: the position item is 1.")
-        assert "max_height_m=math.inf" in error.remedy
+        assert "max_height_m=math.inf" in error.off
         control.send(Setpoint.tilt(roll_deg=0, pitch_deg=0, up=-1, yaw_rate_deg_s=0))
         control.send(Setpoint.tilt(roll_deg=0, pitch_deg=0, height=9, yaw_rate_deg_s=0))
 

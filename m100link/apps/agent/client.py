@@ -363,13 +363,14 @@ class AgentClient:
         if handler is not None:
             handler(message)
 
-    def _closed(self, reason: str) -> None:
+    def _closed(self, reason: str, remedy: str = "") -> None:
         if self.is_gone:
             return
+        gone = messages.agent_gone(reason, remedy)
         self.state = replace(
             self.state,
             connection="lost",
-            connection_fault=messages.RemoteError.of(messages.agent_gone(reason)),
+            connection_fault=messages.RemoteError.of(gone),
             has_authority=False,
             setpoint_age=None,
             holding="none",
@@ -378,14 +379,14 @@ class AgentClient:
             guided=None,
         )
         self.holder = messages.LeaseChanged(0, "")
-        self._answers.end(reason)
+        self._answers.end(gone)
         self._view = None
 
     def _on_hello(self, hello: messages.Hello) -> None:
         if hello.version != messages.VERSION:
             reason = f"it speaks version {hello.version}, this front {messages.VERSION}"
             self._channel.close(reason)
-            self._closed(reason)
+            self._closed(reason, messages.OTHER_RELEASE)
 
     def _on_state(self, state: messages.State) -> None:
         before, self.state = self.state.replay, state
@@ -582,7 +583,7 @@ class PendingRequests:
             int, tuple[asyncio.Future[messages.OrderOutcome], Callable[[], None] | None]
         ] = {}
         # Why the agent will answer no more, once it has gone; None before.
-        self.gone: str | None = None
+        self.gone: M100Error | None = None
 
     async def question(
         self,
@@ -597,7 +598,7 @@ class PendingRequests:
         LinkLost: it goes meanwhile, and may have done it.
         """
         if self.gone is not None:
-            raise messages.agent_gone(self.gone)
+            raise self.gone.again()
         self._count += 1
         number = self._count
         # Known before it leaves: inside one process the answer is here when send() returns.
@@ -609,13 +610,13 @@ class PendingRequests:
         finally:
             self._waiting.pop(number, None)
 
-    def end(self, reason: str) -> None:
+    def end(self, gone: M100Error) -> None:
         """The agent has gone: nobody waits for it any longer."""
-        self.gone = reason
+        self.gone = gone
         waiting, self._waiting = list(self._waiting.values()), {}
         for answer, _ in waiting:
             if not answer.done():
-                answer.set_exception(messages.agent_lost(reason))
+                answer.set_exception(messages.agent_lost(gone))
 
     def outcome(self, outcome: messages.OrderOutcome) -> None:
         """The end of a question. It stays the end, and a question begins once."""

@@ -17,7 +17,6 @@ From a front        Ask (around an order of ``m100link.apps.agent.orders``), Ste
 from __future__ import annotations
 
 import logging
-import re
 from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -384,16 +383,15 @@ _ERRORS: dict[str, type[M100Error]] = {
     if isinstance(found := getattr(errors, name), type) and issubclass(found, M100Error)
 } | {kind.__name__: kind for kind in (LeaseRefused, LeaseHeld, MessageError)}
 
-_FAULT_TEXTS = ("seen", "cause", "remedy")
+_FAULT_TEXTS = ("seen", "cause", "remedy", "off")  # the last is for a program of the library
 
-_GUARDS = (
-    (
-        re.compile(r"control\(guards=Guards\(envelope=Envelope\(max_(height|radius)_m=…\)\)\)"),
-        r"a larger --max-\1 of its agent (max_\1 in a fleet file)",
-    ),
-    (re.compile(r",? or (switch the guard off: |control\(guards=)?Guards\(.*"), ""),
-)
-"""The part of a remedy that only a program can carry out, and what an agent's client can do."""
+_WIDER = {
+    f"control(guards=Guards(envelope=Envelope(max_{one}_m=…)))": (
+        f", or a larger --max-{one} of its agent (max_{one} in a fleet file)"
+    )
+    for one in ("height", "radius")
+}
+"""The remedy for the client of an agent."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -416,9 +414,7 @@ class RemoteError:
             for name, value in vars(error).items()
             if name not in _FAULT_TEXTS and isinstance(value, str | int | float | None)
         }
-        remedy = error.remedy
-        for written, at_agent in _GUARDS:
-            remedy = written.sub(at_agent, remedy)
+        remedy = error.remedy + _WIDER.get(getattr(error, "off", ""), "")
         return cls(known.__name__, error.seen, error.cause, remedy, details)
 
     def error(self) -> M100Error:
@@ -427,7 +423,7 @@ class RemoteError:
         error = kind(self.seen, cause=self.cause, remedy=self.remedy)
         # The attributes of every error stay as they are, whatever details a peer sends.
         for name, value in self.details.items():
-            if name in kind.own or not hasattr(error, name):
+            if name not in _FAULT_TEXTS and (name in kind.own or not hasattr(error, name)):
                 vars(error)[name] = value  # no descriptor of the class, such as OSError's, is asked
         return error
 
@@ -441,18 +437,18 @@ def _plain(value: object) -> object:
     return value.value if isinstance(value, Enum) else value
 
 
-def agent_gone(reason: str) -> LinkError:
+OTHER_RELEASE = "install the same release of m100link at both ends"
+
+
+def agent_gone(reason: str, remedy: str = "") -> LinkError:
     """The error for an agent that has gone for good."""
     why = f": {reason}" if reason else ""
-    remedy = "start it again; until then nothing here is up to date"
-    if "speaks version" in reason:
-        remedy = "install the same release of m100link at both ends"
+    remedy = remedy or "start it again; until then nothing here is up to date"
     return LinkError(f"the agent that owns the aircraft has gone{why}", remedy=remedy)
 
 
-def agent_lost(reason: str) -> LinkLost:
+def agent_lost(gone: M100Error) -> LinkLost:
     """The error for an agent that goes before it has answered a question."""
-    gone = agent_gone(reason)
     return LinkLost(
         f"{gone.seen}; it had been asked, and may have done it",
         cause="it was ended or killed, or the way to it was cut",

@@ -57,7 +57,8 @@ async def reach(asker: Callable[[str], Asker]) -> FleetChannel:
     channel, own = FleetChannel(asker), asker("")
     if not await own.is_there() or not await channel.look_at_clock():
         channel.close()
-        raise messages.agent_gone(channel.unread_why or f"{own.keys.name} does not answer")
+        why = channel.unread_why or f"{own.keys.name} does not answer"
+        raise messages.agent_gone(why, messages.OTHER_RELEASE if channel.unread_why else "")
     return channel
 
 
@@ -214,7 +215,9 @@ class FleetChannel(ChannelEnd):
         self._boot = self._boot or hello.name
         self._asker.its_boot = self._boot
         if hello.version != messages.VERSION:
-            self._end(f"it speaks version {hello.version}, this client {messages.VERSION}")
+            self.unread_why = f"it speaks version {hello.version}, this front {messages.VERSION}"
+            self._hand_over(hello)  # the client closes it, and says what to do
+            self.close()
         elif hello.name != self._boot:
             self._end(f"the agent of {self._keys.name} restarted")
         return not self._is_closed

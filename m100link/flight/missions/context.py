@@ -167,7 +167,8 @@ def check_battery(guards: GuardKeeper, state: AircraftState, plan: WaypointPlan)
             measured=battery.percent,
             limit=floor + needed,
             cause="the estimate reckons with a TB47D and 500 g; nothing of it was measured",
-            remedy="a full battery, a shorter plan, or Guards(battery_floor_percent=…)",
+            remedy="a full battery, or a shorter plan",
+            off="Guards(battery_floor_percent=…)",
         )
 
 
@@ -195,7 +196,8 @@ def check_way(
             measured=distance,
             limit=FAR_M,
             cause="a plan of another place, or latitude and longitude in the wrong order",
-            remedy="fly nearer, or say allow_far=True",
+            remedy="fly nearer",
+            off="allow_far=True",
         )
     return distance
 

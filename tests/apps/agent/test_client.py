@@ -26,6 +26,7 @@ from m100link.apps.agent.messages import (
     Stage,
     State,
     Telemetry,
+    agent_gone,
 )
 from m100link.apps.agent.orders import ChangeHeight
 from m100link.apps.agent.server.agent import Agent
@@ -388,7 +389,7 @@ TOLD: dict[str, Callable[[PendingRequests, int], None]] = {
     "begun": lambda answers, number: answers.outcome(OrderOutcome(number, Stage.ACCEPTED)),
     "done": lambda answers, number: answers.outcome(OrderOutcome(number, Stage.DONE, text="it")),
     "refused": lambda answers, number: answers.outcome(OrderOutcome(number, Stage.FAILED, REFUSED)),
-    "gone": lambda answers, _: answers.end("killed"),
+    "gone": lambda answers, _: answers.end(agent_gone("killed")),
     "another": lambda answers, number: answers.outcome(OrderOutcome(number + 1, Stage.DONE)),
 }
 ENDS: dict[str, object] = {"done": "it", "refused": TaskRefused, "gone": LinkLost}
@@ -464,7 +465,7 @@ async def test_many_answers_in_any_order_reach_their_askers(seed: int) -> None:
         TOLD[told](answers, number)
         if told != "begun":
             expected.setdefault(number, ENDS[told])
-    answers.end("killed")
+    answers.end(agent_gone("killed"))
     answers.gone = None  # another agent
     for number in asked:
         TOLD["done"](answers, number)

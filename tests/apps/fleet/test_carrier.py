@@ -19,9 +19,11 @@ from m100link.apps.agent.control_session import ControlSession
 from m100link.apps.agent.latency import Offset
 from m100link.apps.agent.lease import Lease, LeaseHeld, TakeOver
 from m100link.apps.agent.messages import (
+    VERSION,
     Ask,
     Event,
     EventTopic,
+    Hello,
     LeaseChanged,
     Message,
     OrderOutcome,
@@ -36,6 +38,7 @@ from m100link.apps.fleet.carrier import FleetChannel
 from m100link.apps.fleet.client import Fleet
 from m100link.apps.fleet.keys import Keys
 from m100link.apps.fleet.payloads import OrderReply, Outcome, Progress, pack, unpack_steer
+from m100link.apps.fleet.publisher import StatePublisher
 from m100link.errors import GuardRefused, LinkError, M100Error, StaleLease, UsageError
 from m100link.protocol.records import Position
 from m100link.protocol.setpoint import Setpoint
@@ -294,6 +297,24 @@ async def test_an_agent_that_is_not_there_and_one_that_goes(rig: Rig) -> None:
         await rig.until(lambda: far.is_gone, within=2.0)
         with pytest.raises(M100Error):
             await far.stop()
+
+
+async def test_an_agent_of_another_release_is_left_with_what_to_do(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    await rig.served("a1")
+    fleet = await rig.pilot()
+    async with front(rig, fleet) as far:
+        greeting = Hello(VERSION + 1, far.state.firmware, 0.0)
+        monkeypatch.setattr(StatePublisher, "_hello", lambda _: greeting)
+        await rig.until(lambda: far.is_gone)
+        fault = far.state.connection_fault
+        assert fault is not None
+        assert f"it speaks version {VERSION + 1}, this front {VERSION}" in fault.seen
+        assert fault.remedy == "install the same release of m100link at both ends"
+        with pytest.raises(LinkError, match=f"speaks version {VERSION + 1}") as caught:
+            await fleet.reach("a1")
+        assert caught.value.remedy == fault.remedy
 
 
 async def test_however_much_waits_for_answers_stop_goes_out(rig: Rig) -> None:
