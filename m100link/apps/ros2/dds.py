@@ -7,6 +7,7 @@ handles no signal.
 
 from __future__ import annotations
 
+import asyncio
 import ctypes
 import logging
 import os
@@ -14,7 +15,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Iterator
-from contextlib import asynccontextmanager, closing, contextmanager
+from contextlib import aclosing, asynccontextmanager, contextmanager
 from functools import partial
 from importlib import import_module
 from itertools import islice
@@ -37,7 +38,7 @@ WHEELS = "pip install 'ros-jazzy-rclpy[fastrtps]' ros-jazzy-common-interfaces"
 _GOALS, _FEEDBACK = "/_action/send_goal", "/_action/feedback"
 _SHORT = ("/std_srvs::", "/action_msgs::")  # types whose requests have one length, in keys
 _HEADER = 24  # bytes of rmw_request_id_t: the client, and its number of the request
-_APART_S, _CLOSE_S = 0.05, 1.0
+_APART_S = 0.05
 _LOOK_S = 0.5  # between two looks at the graph, which take a millisecond each
 _OF_ACTION = {"SendGoal": "SendGoalService", "GetResult": "GetResultService"}
 
@@ -310,10 +311,11 @@ class DdsBus:
                 with goes_on("requests on DDS"):  # the thread serves the others, too
                     found.extend(take())
 
-    def close(self) -> None:
+    async def aclose(self) -> None:
+        """What C reads belongs to rclpy: it must not go before."""
         self._is_over.set()
         if self._thread.is_alive():
-            self._thread.join(_CLOSE_S)
+            await asyncio.to_thread(self._thread.join)
 
     def _asked_of(
         self, end: Any, key: str, request: _Half, response: _Half, depth: int
@@ -322,7 +324,8 @@ class DdsBus:
         found: list[Question] = []
         for _ in range(depth):
             header = ctypes.create_string_buffer(_HEADER)
-            if self._take_request(end.handle.pointer, header, request.message):
+            gone = self._is_over.is_set()
+            if gone or self._take_request(end.handle.pointer, header, request.message):
                 if not self._has_failed():
                     break
                 self._forget()
@@ -451,7 +454,7 @@ async def open_dds(domain: int, largest: int) -> AsyncIterator[DdsBus]:
         try:
             middleware = rclpy.utilities.get_rmw_implementation_identifier()
             acks = is_fast and middleware.startswith("rmw_fastrtps")
-            with closing(DdsBus(rclpy, context, domain, largest, hears_acks=acks)) as bus:
+            async with aclosing(DdsBus(rclpy, context, domain, largest, hears_acks=acks)) as bus:
                 yield bus
         finally:
             rclpy.shutdown(context=context)

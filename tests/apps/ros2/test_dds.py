@@ -376,6 +376,37 @@ async def test_what_takes_long_to_be_read_holds_up_no_step(rclpy: Rclpy) -> None
         assert found == [b"long", b"next"]
 
 
+async def test_rclpy_stays_as_long_as_c_reads_a_request(rclpy: Rclpy) -> None:
+    """A request of a megabyte took 1.8 s, and rclpy went after one."""
+    reads, goes_on = threading.Event(), threading.Event()
+
+    def long() -> tuple[bytes, bytes]:
+        reads.set()
+        assert goes_on.wait(PATIENCE)
+        return b"long", b"anna"
+
+    async def ended() -> None:
+        async with dds.open_dds(7, LARGEST) as bus:
+            bus.declare(NAME.token)
+            kind = "rcl_interfaces/srv/SetParameters"
+            bus.questions(declared(bus, EntityKind.SERVER, "/m100/set_parameters", kind), 8)
+            rclpy.nodes[0].ends["/m100/set_parameters"].waiting.extend([long, long])
+            assert await asyncio.to_thread(reads.wait, PATIENCE)
+
+    ending = asyncio.create_task(ended())
+    while not reads.is_set():  # noqa: ASYNC110 - a thread sets it
+        await asyncio.sleep(0)
+    for _ in range(100):
+        await asyncio.sleep(0)
+    assert rclpy.up
+    assert not ending.done()
+    reads.clear()
+    goes_on.set()
+    await ending
+    assert not rclpy.up
+    assert not reads.is_set(), "the next one was not begun"
+
+
 async def test_room_for_a_long_message_is_given_back(rclpy: Rclpy) -> None:
     async with dds.open_dds(7, LARGEST) as bus:
         bus.declare(NAME.token)
