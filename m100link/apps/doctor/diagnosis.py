@@ -408,7 +408,7 @@ async def _key(aircraft: Aircraft, credentials: Credentials | None) -> Finding:
             ),
             (
                 "compare the key file with the enc key of the app at developer.dji.com",
-                "for certainty: m100link doctor PORT --app-id ID --key-file FILE --authority",
+                "for certainty: run this again with --authority",
             ),
             error=error,
         )

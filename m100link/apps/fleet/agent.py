@@ -94,8 +94,6 @@ def admit(
 
 
 class FleetAgent:
-    _disk_fault: RemoteError | None = None
-
     def __init__(
         self,
         client: AgentClient,  # what knows its agent
@@ -114,6 +112,7 @@ class FleetAgent:
     ) -> None:
         self.client = client
         self._disks = disks
+        self._disk_fault: RemoteError | None = None
         self.audit = audit
         self._refused_at = -math.inf
         self._bus = bus

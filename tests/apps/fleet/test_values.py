@@ -94,6 +94,7 @@ def client(telemetry: AircraftState | None, **state: Any) -> Any:
 def card(telemetry: AircraftState | None, **state: Any) -> Card:
     """What the agent of that aircraft tells of it."""
     one = FleetAgent.__new__(FleetAgent)
+    one._disk_fault = None
     one.client = client(telemetry, **state)
     one.boot, one._keys, one._utc = "5c0f8b1e", Keys("field", "kite"), lambda: AT
     one._lost_plan = LostLinkPlan("land", 7.5)
