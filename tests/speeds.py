@@ -194,51 +194,48 @@ def children_time() -> float:
     return sum(os.times()[2:4])
 
 
-def processor_time() -> float:
-    """Seconds that this process and the children that it waited for have taken."""
-    return sum(os.times()[:4])
+def spent() -> tuple[float, float, float]:
+    """Seconds of all processors: in which they worked for us, in which for anybody, and all.
 
-
-_workers_time = 0.0
-
-
-def busy() -> tuple[float, float]:
-    """Seconds of all processors: those in which they worked for anybody, and all."""
-    tick = os.sysconf("SC_CLK_TCK")
+    Ours is the group of processes that one command began: all parts of the suite, type checkers.
+    """
+    tick, group, ours = os.sysconf("SC_CLK_TCK"), str(os.getpgrp()), 0
     try:
         counted = [int(n) / tick for n in Path("/proc/stat").read_text("ascii").split()[1:9]]
     except OSError:
-        return 0.0, 0.0  # nobody counts here: quiet
-    return sum(counted) - counted[3] - counted[4], sum(counted)
+        return 0.0, 0.0, 0.0  # nobody counts here: quiet
+    for place in Path("/proc").glob("[0-9]*/stat"):
+        with suppress(OSError):  # it has just ended
+            fields = place.read_text("utf-8", "replace").rpartition(")")[2].split()
+            if fields[2] == group:
+                ours += sum(int(ticks) for ticks in fields[11:15])  # its children's, too
+    return ours / tick, sum(counted) - counted[3] - counted[4], sum(counted)
 
 
-_begun = busy()
+_begun = spent()
 
 
 def taken_by_others() -> float:
     """The share of the processors that others took since this process began."""
-    worked, passed = (after - before for after, before in zip(busy(), _begun, strict=True))
-    return max(0.0, worked - processor_time() - _workers_time) / passed if passed else 0.0
-
-
-@pytest.hookimpl(optionalhook=True)
-def pytest_testnodedown(node: object) -> None:
-    global _workers_time
-    _workers_time += getattr(node, "workeroutput", {}).get("processor_time", 0.0)
+    own, worked, passed = (after - before for after, before in zip(spent(), _begun, strict=True))
+    return max(0.0, worked - own) / passed if passed else 0.0
 
 
 # -- what each test costs -------------------------------------------------------------------------
 
 CLOCK = Clock()
-_began: dict[str, Cost] = {}
+_cost: Cost | None = None
 _costs: dict[str, float] = defaultdict(float)
 _waits: dict[str, float] = defaultdict(float)
 _slow: set[str] = set()
 _real: set[str] = set()
 
 
-def pytest_runtest_logstart(nodeid: str) -> None:
-    _began[nodeid] = Cost()
+@pytest.hookimpl(wrapper=True, tryfirst=True)  # where tests run, not where they are reported
+def pytest_runtest_protocol() -> Generator[None, object, object]:
+    global _cost
+    _cost = Cost()
+    return (yield)
 
 
 @pytest.hookimpl(wrapper=True)
@@ -246,9 +243,8 @@ def pytest_runtest_makereport(
     item: pytest.Item,
 ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
     report = yield
-    cost = _began.get(item.nodeid)
     vars(report).update(  # plain values: a process of xdist hands them on
-        cost=cost.taken() if cost else 0.0,
+        cost=_cost.taken() if _cost else 0.0,
         is_slow=item.get_closest_marker("slow") is not None,
         is_real=keeps_real_time(item),
         is_in_real_time=runs_in_real_time(item),
@@ -283,8 +279,7 @@ def is_counted() -> bool:
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:
-    if (output := getattr(session.config, "workeroutput", None)) is not None:
-        output["processor_time"] = processor_time()
+    if hasattr(session.config, "workeroutput"):
         return  # the process that began this one counts for all
     if os.environ.get(RECORD):
         rows = (

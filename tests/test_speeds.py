@@ -63,7 +63,8 @@ def test_what_is_dear_and_not_called_slow_fails_the_run_on_a_quiet_machine(
 
 
 def test_what_the_list_would_just_not_name_passes_on_a_busy_machine(tmp_path: Path) -> None:
-    busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(2)]
+    endless = [sys.executable, "-c", "while True: pass"]
+    busy = [subprocess.Popen(endless, start_new_session=True) for _ in range(2)]  # of others
     try:
         status, told = outcome(tmp_path, DEAR.format(speeds.MARKED_S))
     finally:
@@ -122,6 +123,32 @@ def test_a_child_is_charged_to_the_test_that_began_it_or_to_none(
 def test_nothing_is_dear_while_lines_are_counted(tmp_path: Path) -> None:
     counted = ("-m", "coverage", "run", f"--data-file={tmp_path / 'lines'}")
     assert outcome(tmp_path, DEAR.format(2.0), under=counted)[0] == 0
+
+
+OURS = r"""
+import subprocess, sys, time
+from tests import speeds
+text = "import time\nwhile time.process_time() < 1.0: pass\nprint(flush=True)\ninput()"
+pipes = dict(stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+own = speeds.spent()[0]
+busy = subprocess.Popen([sys.executable, "-c", text], start_new_session={0}, **pipes)
+busy.stdout.readline()
+print(speeds.spent()[0] - own > 0.9)
+"""
+
+
+@pytest.mark.parametrize("is_of_others", [True, False])
+def test_ours_is_what_the_same_command_began(is_of_others: bool) -> None:
+    """As type checkers beside the tests, and the other parts of the suite."""
+    told = subprocess.run(
+        [sys.executable, "-c", OURS.format(is_of_others)],
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+        start_new_session=True,
+        check=True,
+    )
+    assert told.stdout == f"{not is_of_others}\n"
 
 
 def test_what_keeps_real_time_is_left_out_but_for_smoke_tests(tmp_path: Path) -> None:
