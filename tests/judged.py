@@ -34,22 +34,28 @@ ALLOWED = 0.02
 class Machine(threading.Thread):
     """Watches for how long this process, or one that it has begun, is kept from running.
 
+    Args:
+        at_once: Whether it watches from the beginning of its block, and not only once it is
+            started: a second thread costs a flight on virtual time a twentieth.
+
     Attributes:
         stood_s: The longest time: of this thread in one go, of each within half a second.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, at_once: bool = True) -> None:
         super().__init__(name="how late the machine is", daemon=True)
         self.stood_s = 0.0
-        self._ended = threading.Event()
+        self._at_once, self._ended = at_once, threading.Event()
 
     def __enter__(self) -> Machine:
-        self.start()
+        if self._at_once:
+            self.start()
         return self
 
     def __exit__(self, *_: object) -> None:
         self._ended.set()
-        self.join()
+        if self.ident is not None:
+            self.join()
 
     def run(self) -> None:
         waited: dict[tuple[int, int], float] = {}
@@ -89,6 +95,21 @@ def descendants(process: int) -> Iterator[int]:
         yield from descendants(child)
 
 
+_machine: Machine | None = None
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_fixture_setup(
+    fixturedef: pytest.FixtureDef[object],
+) -> Generator[None, object, object]:
+    """From here on it is known that a test has no other clock than the machine's."""
+    value = yield
+    is_real = fixturedef.argname == "anyio_backend" and value == "asyncio"
+    if is_real and _machine is not None and _machine.ident is None:
+        _machine.start()
+    return value
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> bool | None:
     if not (keeps_real_time(item) or "anyio_backend" in getattr(item, "fixturenames", ())):
@@ -96,8 +117,10 @@ def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> 
     item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
     stood: list[float] = []
     failures: list[str] = []
+    global _machine
     while True:
-        with Machine() as machine:
+        with Machine(keeps_real_time(item)) as machine:
+            _machine = machine
             reports = runtestprotocol(item, nextitem=nextitem, log=False)
         stood.append(machine.stood_s)
         is_real = any(getattr(report, "is_in_real_time", False) for report in reports)
