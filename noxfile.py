@@ -61,9 +61,12 @@ def group(*names: str) -> list[str]:
     return list(nox.project.dependency_groups(PYPROJECT, *names))
 
 
+ALONE = ("-p", "no:cacheprovider")  # none keeps a cache that another writes
+
+
 def workers(count: int) -> Line:
-    """Options of pytest for so many processes; none of them keeps a cache that another writes."""
-    return "-n", str(count), "--dist", "worksteal", "-p", "no:cacheprovider"
+    """Options of pytest for so many processes."""
+    return "-n", str(count), "--dist", "worksteal", *ALONE
 
 
 @dataclass(frozen=True)
@@ -112,6 +115,8 @@ def elsewhere(*folders: str) -> list[str]:
 
 MAVLINK, ROS2 = "tests/interop/mavlink", "tests/interop/ros2"
 VIRTUAL = elsewhere("tests/interop", "tests/browser")
+QUICK = (*ALONE, "-m", "not slow and not smoke")
+AIRBORNE = tuple(f"tests/apps/{room}" for room in ("agent", "fleet", "mavlink", "ros2"))
 CHECKED = ("m100link", "tests", "examples", "benchmarks", "noxfile.py", "docs/_ext")
 # The longest flight begins first.
 PROGRAMS = sorted(
@@ -144,8 +149,12 @@ KINDS = {
     ),
     "quick": Kind(
         "Tests that are not slow, and some in real time: a flight for each front among them.",
+        # Three processes that know nothing of each other: workers that report 20,000 tests to one
+        # take a tenth more, and each of them has to read all files.
         {
-            "tests": [pytest(*workers(2), "-m", "not slow and not smoke", *VIRTUAL)],
+            "tests": [pytest(*QUICK, *VIRTUAL, *elsewhere("tests/apps"))],
+            "tests of fronts": [pytest(*QUICK, "tests/apps", *elsewhere(*AIRBORNE))],
+            "tests of agents": [pytest(*QUICK, *AIRBORNE)],
             # They wait for terminals, processes and a browser more than they compute.
             "smoke tests": [pytest(*workers(6), "-m", "smoke", *marked("smoke"))],
         },
@@ -175,8 +184,9 @@ KINDS = {
         groups=("test", "interop"),
     ),
 }
-# What takes longest begins first.
-DEFAULT = ("quick", "types", "docs", "lint")
+# What takes longest begins first; but in a new environment the first tests compile what all others
+# import, and the type checkers, which import nothing, are beside them meanwhile.
+DEFAULT = ("types", "quick", "docs", "lint")
 FULL = ("tests", "types", "manual", "lint", "browser", "examples", "interop")
 # What flies in real time, and how many at once. Each of the first takes what it can get.
 LANES = ((("smoke tests", "tests (pty)", "browser"), 1), ((*PROGRAMS, "interop"), 2))
