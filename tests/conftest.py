@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import gc
-import importlib
 import os
 import signal
-from contextlib import suppress
-from pathlib import Path
+from collections.abc import Generator
 
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -51,28 +49,21 @@ def _state_folder(tmp_path_factory: pytest.TempPathFactory) -> None:
     os.environ["XDG_STATE_HOME"] = str(tmp_path_factory.mktemp("state"))
 
 
-def pytest_collection(session: pytest.Session) -> None:
-    """Every other process reads all tests backwards first: what one compiled, the other finds.
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """What is imported and collected stays.
 
-    In a new clone, pytest rewrites each assertion and Hypothesis parses each module, 25 seconds in
-    all. Every process has to collect in the same order, and would do all of it beside the others.
+    To look for garbage in it again and again took two fifths of the start of a new clone.
     """
-    here, config = Path(__file__).parent, session.config
-    at = config.invocation_params.dir
-    number = os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw")
-    if int(number) % 2 == 0 or [at / one for one in config.args] != [here]:
-        return
-    left_out = [at / folder for folder in config.option.ignore or ()]
-    for path in sorted(here.rglob("test_*.py"), reverse=True):
-        if not any(path.is_relative_to(folder) for folder in left_out):
-            with suppress(Exception, pytest.skip.Exception):  # the collection says why
-                importlib.import_module(
-                    ".".join(path.relative_to(here.parent).with_suffix("").parts)
-                )
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.enable()
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:
-    """What was imported and collected stays: no search for garbage needs to pass through it."""
+    """No search for garbage needs to pass through what was imported and collected."""
     if any(item.get_closest_marker("hypothesis") for item in session.items):
         # It parses all that was imported for values to draw: eight seconds in a new clone, which
         # the first test would pay that uses it.
