@@ -39,7 +39,7 @@ from m100link.log import read, recorder
 from m100link.log.channels import COMMAND, RX, TX
 from m100link.protocol.commands.activation import SendToMobile
 from m100link.sim import VirtualClockEventLoop
-from tests.log.flight import APP_ID, KEY, URL, fly
+from tests.log.flight import APP_ID, KEY, URL, flown, fly
 
 pytest.importorskip("mcap", reason="the extra `log` is not installed")
 pytestmark = pytest.mark.anyio
@@ -61,7 +61,7 @@ async def path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The log of a short flight, in many parts."""
     monkeypatch.setattr(recorder, "FLUSH_S", 0.0)  # of the wall clock: a part for each batch
     place = tmp_path / "flight.mcap"
-    await fly(place)
+    await flown(place)
     return place
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from m100link import Credentials, Lossless, connect
-from m100link.log import Recorder
+from m100link.log import Recorder, recorder
 from m100link.telemetry.sample import Sample
 
 APP_ID = 0x7A3C91E5
@@ -30,3 +30,25 @@ async def fly(record: Path | Recorder, url: str = URL, **options: Any) -> list[S
         while (sample := samples.get_nowait()) is not None:
             seen.append(sample)
     return seen
+
+
+_FLOWN: dict[float, tuple[bytes, list[Sample]]] = {}
+
+
+async def flown(record: Path) -> list[Sample]:
+    """The log of that flight and its telemetry, for who reads them: it is flown once for all."""
+    if recorder.FLUSH_S not in _FLOWN:
+        seen = await fly(record)
+        _FLOWN[recorder.FLUSH_S] = _content(record), seen
+        return list(seen)
+    return _again(record)
+
+
+def _content(record: Path) -> bytes:
+    return record.read_bytes()
+
+
+def _again(record: Path) -> list[Sample]:
+    content, seen = _FLOWN[recorder.FLUSH_S]
+    record.write_bytes(content)
+    return list(seen)

@@ -14,7 +14,7 @@ from m100link.log import Damage, read, recorder, recover
 from m100link.log.channels import LINK, RX
 from m100link.log.damage import Losses
 from m100link.sim import VirtualClockEventLoop
-from tests.log.flight import fly
+from tests.log.flight import flown
 from tests.log.test_records import changed, parts
 
 
@@ -24,7 +24,7 @@ def flight(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setattr(recorder, "FLUSH_S", 0.0)  # of the wall clock: a part for each batch
     path = tmp_path / "flight.mcap"
     with asyncio.Runner(loop_factory=VirtualClockEventLoop) as runner:
-        runner.run(fly(path))
+        runner.run(flown(path))
     return path
 
 

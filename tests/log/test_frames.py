@@ -11,13 +11,13 @@ from m100link.errors import UsageError
 from m100link.log import read
 from m100link.log.pcapng import read_frames
 from m100link.wire import Cipher
-from tests.log.flight import KEY, URL, fly
+from tests.log.flight import KEY, URL, flown, fly
 
 pytestmark = pytest.mark.anyio
 
 
 async def test_the_frames_are_those_that_the_recorder_wrote(tmp_path: Path) -> None:
-    await fly(tmp_path / "flight.mcap")
+    await flown(tmp_path / "flight.mcap")
     flight = read(tmp_path / "flight.mcap")
     told = [one.content() for one in flight.messages("/m100/command")]
     frames = list(read_frames(flight, cipher=Cipher(KEY)))
@@ -34,7 +34,7 @@ async def test_the_frames_are_those_that_the_recorder_wrote(tmp_path: Path) -> N
 
 
 async def test_without_the_key_what_was_encrypted_is_shown_as_it_travelled(tmp_path: Path) -> None:
-    await fly(tmp_path / "flight.mcap")
+    await flown(tmp_path / "flight.mcap")
     frames = list(read_frames(read(tmp_path / "flight.mcap")))
     sealed = [one for one in frames if one["encrypted"]]
     assert len(sealed) > 100

@@ -11,7 +11,7 @@ import pytest
 
 from m100link.log import read
 from m100link.log.channels import SCHEMAS, layout
-from tests.log.flight import fly
+from tests.log.flight import flown
 
 # Panels that Foxglove and Lichtblick both have, by the type in the panel's name, and the settings
 # that both read: the types of Lichtblick 1.28, and foxglove.layouts of foxglove-sdk 0.30. Each
@@ -79,7 +79,7 @@ def test_each_setting_is_one_that_both_programs_read(name: str) -> None:
 
 @pytest.mark.anyio
 async def test_every_path_is_a_column_that_a_flight_has(tmp_path: Path) -> None:
-    await fly(tmp_path / "flight.mcap")
+    await flown(tmp_path / "flight.mcap")
     flight = read(tmp_path / "flight.mcap")
     columns = {name for one in flight.messages("/m100/telemetry") for name in one.content()}
     text = json.dumps(layout())

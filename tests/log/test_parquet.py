@@ -14,7 +14,7 @@ from m100link import Position, Velocity
 from m100link.errors import UsageError
 from m100link.log import read
 from m100link.log.reading import write_parquet
-from tests.log.flight import fly
+from tests.log.flight import flown
 
 pytestmark = pytest.mark.anyio
 
@@ -22,7 +22,7 @@ pytestmark = pytest.mark.anyio
 async def test_duckdb_and_csv_give_the_sums_of_the_samples(tmp_path: Path) -> None:
     pytest.importorskip("pyarrow", reason="the extra `analysis` is not installed")
     duckdb = pytest.importorskip("duckdb", reason="the judge is not installed")
-    await fly(tmp_path / "flight.mcap")
+    await flown(tmp_path / "flight.mcap")
     flight = read(tmp_path / "flight.mcap")
     path = tmp_path / "flight.parquet"
     with path.open("xb") as stream:
@@ -47,7 +47,7 @@ async def test_duckdb_and_csv_give_the_sums_of_the_samples(tmp_path: Path) -> No
 
 async def test_columns_can_be_chosen(tmp_path: Path) -> None:
     parquet = pytest.importorskip("pyarrow.parquet", reason="the extra `analysis` is not there")
-    await fly(tmp_path / "flight.mcap")
+    await flown(tmp_path / "flight.mcap")
     stream = io.BytesIO()
     write_parquet(read(tmp_path / "flight.mcap"), stream, Position, Velocity)
     found = parquet.read_table(io.BytesIO(stream.getvalue()))

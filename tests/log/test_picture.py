@@ -17,7 +17,7 @@ from m100link.log import read
 from m100link.log.channels import Curve
 from m100link.log.picture import facts, page, panels, picture
 from m100link.log.story import FlightSummary, Moment, Span, read_story
-from tests.log.flight import fly
+from tests.log.flight import flown
 
 
 def size_of(png: bytes) -> tuple[int, int]:
@@ -29,7 +29,7 @@ def size_of(png: bytes) -> tuple[int, int]:
 @pytest.mark.anyio
 async def test_a_flight_is_a_picture(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib", reason="the extra `analysis` is not installed")
-    await fly(tmp_path / "flight.mcap")
+    await flown(tmp_path / "flight.mcap")
     story = read_story(read(tmp_path / "flight.mcap"))
     assert size_of(picture(story, width_px=700)) == (700, 450)
     assert size_of(picture(FlightSummary("$empty$.mcap"), width_px=700)) == (700, 450)
@@ -87,7 +87,7 @@ def data_of(text: str) -> dict[str, Any]:
 
 @pytest.mark.anyio
 async def test_a_flight_is_a_page_with_its_track_and_what_happened(tmp_path: Path) -> None:
-    await fly(tmp_path / "flight.mcap")
+    await flown(tmp_path / "flight.mcap")
     story = read_story(read(tmp_path / "flight.mcap"))
     text = checked(story)
     assert len(text) < 200_000

@@ -19,7 +19,7 @@ from m100link.log.damage import Damage
 from m100link.log.player import RUN_UP_S, Begin, PlaybackTarget, Player, begin_of
 from m100link.log.reading import Chunk, Message
 from m100link.wire import Frame, FrameDecoder
-from tests.log.flight import fly
+from tests.log.flight import flown
 
 pytestmark = pytest.mark.anyio
 
@@ -53,7 +53,7 @@ class Heard:
 @pytest.fixture
 async def player(tmp_path: Path) -> Player:
     path = tmp_path / "flight.mcap"
-    await fly(path)
+    await flown(path)
     log = read(path)
     return Player(log, await begin_of(log))
 

@@ -24,7 +24,7 @@ from m100link.log.damage import Damage
 from m100link.log.reading import FlightLog, Message
 from m100link.protocol.records import Battery
 from tests import known
-from tests.log.flight import URL, fly
+from tests.log.flight import URL, flown, fly
 from tests.support import raw_frame
 
 pytestmark = pytest.mark.anyio
@@ -34,7 +34,7 @@ SEED = 20261122
 
 async def test_a_cut_anywhere_raises_nothing_and_keeps_what_was_whole(tmp_path: Path) -> None:
     path = tmp_path / "flight.mcap"
-    seen = await fly(path)
+    seen = await flown(path)
     whole = path.read_bytes()
     messages = list(read(path).messages())
     chance = random.Random(SEED)
@@ -60,7 +60,7 @@ async def test_a_cut_anywhere_raises_nothing_and_keeps_what_was_whole(tmp_path: 
 
 async def test_junk_behind_the_beginning_raises_nothing(tmp_path: Path) -> None:
     path = tmp_path / "flight.mcap"
-    seen = await fly(path)
+    seen = await flown(path)
     whole = bytearray(path.read_bytes())
     sound = read(path).summary()
     chance = random.Random(SEED)
@@ -78,7 +78,7 @@ async def test_junk_behind_the_beginning_raises_nothing(tmp_path: Path) -> None:
 
 async def test_a_damaged_length_does_not_ask_for_memory(tmp_path: Path) -> None:
     path = tmp_path / "flight.mcap"
-    await fly(path)
+    await flown(path)
     whole = path.read_bytes()
     begin = first_part(whole)
     # Of the part, of what it is unpacked to, of its name of a compression, and of its data.
@@ -99,7 +99,7 @@ async def test_a_first_part_that_is_damaged_costs_itself_alone(
 ) -> None:
     monkeypatch.setattr(recorder, "FLUSH_S", 0.0)  # of the wall clock: a part for each batch
     path = tmp_path / "flight.mcap"
-    await fly(path)
+    await flown(path)
     whole = path.read_bytes()
     spoilt = bytearray(whole)
     spoilt[first_part(whole) + 100] ^= 1
@@ -123,7 +123,7 @@ def first_part(whole: bytes) -> int:
 
 async def test_tables_have_the_columns_of_the_library(tmp_path: Path) -> None:
     path = tmp_path / "flight.mcap"
-    seen = await fly(path)
+    seen = await flown(path)
     table = read(path).table(Position, Attitude)
     assert len(table) >= len(seen)
     assert table.names[:3] == ("received_at", "utc", "position.latitude_rad")
@@ -151,7 +151,7 @@ async def test_what_is_no_log_is_refused_with_what_it_is(tmp_path: Path) -> None
         with pytest.raises(UsageError, match=why):
             read(path)
     path = tmp_path / "flight.mcap"
-    await fly(path)
+    await flown(path)
     with pytest.raises(UsageError, match="cannot be written"):
         recover(path, path)
     assert list(read(path).messages(RX))
@@ -194,7 +194,7 @@ async def test_a_full_disk_ends_mending_with_what_to_do(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "flight.mcap"
-    await fly(path)
+    await flown(path)
 
     def finish(_: Writer) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")

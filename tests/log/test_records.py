@@ -12,7 +12,7 @@ import pytest
 
 from m100link.log import read, recorder, recover
 from m100link.log.records import RawMessage, _length_of_part, _unpacked, records
-from tests.log.flight import fly
+from tests.log.flight import flown
 
 pytestmark = pytest.mark.anyio
 
@@ -25,7 +25,7 @@ async def whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> bytes:
     """A flight in many parts."""
     monkeypatch.setattr(recorder, "FLUSH_S", 0.0)  # of the wall clock: a part for each batch
     path = tmp_path / "flight.mcap"
-    await fly(path)
+    await flown(path)
     return path.read_bytes()
 
 

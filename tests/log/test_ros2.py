@@ -21,7 +21,7 @@ from m100link.protocol.records import (
     RemoteControl,
 )
 from tests.known import position, sample
-from tests.log.flight import fly
+from tests.log.flight import flown
 
 if TYPE_CHECKING:
     from m100link.log.reading import FlightLog
@@ -35,7 +35,7 @@ async def bag(tmp_path: Path) -> tuple[Any, dict[str, list[tuple[int, Any]]]]:
     """The log, and the messages of its bag by topic, with their times."""
     from rosbags.typesys import Stores, get_typestore
 
-    await fly(tmp_path / "flight.mcap")
+    await flown(tmp_path / "flight.mcap")
     flight = read(tmp_path / "flight.mcap")
     path = tmp_path / "bag.mcap"
     with path.open("xb") as stream:

@@ -25,13 +25,13 @@ from m100link.sim.orders import perform
 from m100link.sim.ports import driver
 from m100link.sim.virtual import VirtualAircraft
 from tests.known import LATITUDE, LONGITUDE, position
-from tests.log.flight import APP_ID, KEY, fly
+from tests.log.flight import APP_ID, KEY, flown
 
 pytestmark = pytest.mark.anyio
 
 
 async def test_the_story_is_that_of_the_flight(tmp_path: Path) -> None:
-    seen = await fly(tmp_path / "flight.mcap")
+    seen = await flown(tmp_path / "flight.mcap")
     story = read_story(read(tmp_path / "flight.mcap"))
     assert [span.name for span in story.phases] == [
         "ground",
@@ -67,7 +67,7 @@ async def test_the_story_is_that_of_the_flight(tmp_path: Path) -> None:
 
 
 async def test_a_quick_look_finds_the_same_within_its_interval(tmp_path: Path) -> None:
-    await fly(tmp_path / "flight.mcap")
+    await flown(tmp_path / "flight.mcap")
     flight = read(tmp_path / "flight.mcap")
     heard: list[float] = []
     whole = read_story(flight)

@@ -10,13 +10,13 @@ from m100link.log import read
 from m100link.log.channels import RateLimiter, row_of
 from m100link.protocol.firmware import FIRMWARE_1_0, FIRMWARE_3_1
 from m100link.protocol.records import Battery
-from tests.log.flight import fly
+from tests.log.flight import flown
 
 pytestmark = pytest.mark.anyio
 
 
 async def test_what_comes_once_a_second_is_in_a_row_of_ten_a_second(tmp_path: Path) -> None:
-    await fly(tmp_path / "flight.mcap")
+    await flown(tmp_path / "flight.mcap")
     flight = read(tmp_path / "flight.mcap")
     samples = list(flight.samples())
     thinning = RateLimiter(0.1)
@@ -36,7 +36,7 @@ async def test_what_comes_once_a_second_is_in_a_row_of_ten_a_second(tmp_path: Pa
 
 
 async def test_a_row_ends_with_the_items_of_its_own_package(tmp_path: Path) -> None:
-    await fly(tmp_path / "flight.mcap")
+    await flown(tmp_path / "flight.mcap")
     samples = list(read(tmp_path / "flight.mcap").samples())
     thinning = RateLimiter(0.1)
     for one in samples:
@@ -48,7 +48,7 @@ async def test_a_row_ends_with_the_items_of_its_own_package(tmp_path: Path) -> N
 
 
 async def test_every_package_is_let_through_when_asked(tmp_path: Path) -> None:
-    await fly(tmp_path / "flight.mcap")
+    await flown(tmp_path / "flight.mcap")
     thinning = RateLimiter(0.0)
     samples = list(read(tmp_path / "flight.mcap").samples())
     assert all(thinning.hear(one.value, one.profile, one.received_at) for one in samples)

@@ -23,7 +23,7 @@ from m100link.apps.agent.transports import memory_channels
 from m100link.errors import M100Error, OnlyRecorded, UsageError
 from m100link.log import read, recorder
 from m100link.sim import VirtualClockEventLoop
-from tests.log.flight import fly
+from tests.log.flight import flown
 
 pytestmark = pytest.mark.anyio
 
@@ -37,7 +37,7 @@ def anyio_backend() -> tuple[str, dict[str, Any]]:
 async def path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setattr(recorder, "FLUSH_S", 0.0)  # of the wall clock: a part for each batch
     place = tmp_path / "flight.mcap"
-    await fly(place)
+    await flown(place)
     return place
 
 

@@ -456,14 +456,25 @@ def test_a_download_has_a_line_for_each_row_and_nothing_where_there_was_no_value
 # -- a recorded flight -----------------------------------------------------------------------------
 
 
+_ALARMING: list[bytes] = []
+
+
 @pytest.fixture
 async def alarming(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The log of a flight with a silence of 3 s, a low battery and authority that was lost."""
     pytest.importorskip("mcap", reason="the extra `log` is not installed")
+    path = tmp_path / "flight.mcap"
+    if not _ALARMING:  # it is flown once for all who read it
+        await fly_alarming(path, monkeypatch)
+        _ALARMING.append(path.read_bytes())
+    path.write_bytes(_ALARMING[0])
+    return path
+
+
+async def fly_alarming(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(recorder, "FLUSH_S", 0.0)
     aircraft = VirtualAircraft(seed=5, app_id=APP_ID, key=KEY)
     monkeypatch.setattr(driver, "aircraft_of", lambda _: aircraft)
-    path = tmp_path / "flight.mcap"
     async with connect("sim://", record=path) as flown:
         await flown.activate(Credentials(app_id=APP_ID, key=KEY))
         with suppress(M100Error):
@@ -475,7 +486,6 @@ async def alarming(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         for order in ("battery 24", "stall on", "stall off"):
             perform(aircraft, order)
             await anyio.sleep(3.0)
-    return path
 
 
 def test_what_cannot_be_read_is_said(tmp_path: Path) -> None:
