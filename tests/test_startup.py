@@ -216,22 +216,25 @@ def test_rooms_are_attributes_without_an_import_of_their_own() -> None:
     assert {"m100link.sim", "m100link.missions.patterns"} <= loaded_by(aside)
 
 
-@pytest.mark.parametrize(
-    ("old", "now"),
-    [
-        ("m100link.fleet", "m100link.apps.fleet"),
-        ("m100link.doctor", "m100link.apps.doctor"),
-        ("m100link.patterns", "m100link.missions.patterns"),
-        ("m100link.requests", "m100link.link.requests"),
-    ],
-)
+MOVED = {  # one that loads others comes behind them
+    "m100link.requests": "m100link.link.requests",
+    "m100link.patterns": "m100link.missions.patterns",
+    "m100link.doctor": "m100link.apps.doctor",
+    "m100link.fleet": "m100link.apps.fleet",
+}
+
+
+@pytest.mark.parametrize("is_old_first", [True, False])
 def test_a_documented_room_that_moved_is_the_same_module_by_its_old_name(
-    old: str, now: str
+    is_old_first: bool,
 ) -> None:
-    for first, second in ((old, now), (now, old)):
-        same = f"import sys, {first}, {second}; assert sys.modules[{old!r}] is sys.modules[{now!r}]"
-        asked = run(f"{same}; import m100link; assert {old} is {now}", "-W", "error")
-        assert asked.stderr == ""
+    lines = ["import sys"]
+    for old, now in MOVED.items():
+        first, second = (old, now) if is_old_first else (now, old)
+        lines.append(f"import {first}, {second}")
+        lines.append(f"assert sys.modules[{old!r}] is sys.modules[{now!r}]")
+        lines.append(f"import m100link; assert {old} is {now}")
+    assert run("\n".join(lines), "-W", "error").stderr == ""
 
 
 def test_what_is_below_a_room_that_moved_is_loaded_once_and_warns() -> None:
@@ -258,20 +261,21 @@ def test_a_documented_class_has_its_old_name_too(module: str, old: str, now: str
         room.Nothing  # noqa: B018 - it is asked for
 
 
-@pytest.mark.parametrize(
-    ("old", "now", "name"),
-    [
-        ("protocol.commands.camera", "protocol.commands.gimbal", "TakePhoto"),
-        ("sync.steering", "sync.control", "GimbalRates"),
-    ],
-)
-def test_a_documented_module_that_another_took_in_is_that_one_and_warns(
-    old: str, now: str, name: str
-) -> None:
-    program = f"import m100link.{old} as old, m100link.{now} as now; assert old is now; old.{name}"
+TAKEN_IN = [
+    ("protocol.commands.camera", "protocol.commands.gimbal", "TakePhoto"),
+    ("sync.steering", "sync.control", "GimbalRates"),
+]
+
+
+def test_a_documented_module_that_another_took_in_is_that_one_and_warns() -> None:
+    program = "\n".join(
+        f"import m100link.{old} as old, m100link.{now} as now; assert old is now; old.{name}"
+        for old, now, name in TAKEN_IN
+    )
     asked = run(program, "-W", "always")
-    assert asked.stderr.count("DeprecationWarning") == 1, asked.stderr
-    assert f"m100link.{old} is m100link.{now} now" in asked.stderr
+    assert asked.stderr.count("DeprecationWarning") == len(TAKEN_IN), asked.stderr
+    for old, now, _ in TAKEN_IN:
+        assert asked.stderr.count(f"m100link.{old} is m100link.{now} now") == 1, asked.stderr
 
 
 def test_a_name_that_does_not_exist_is_an_attribute_error_with_its_name() -> None:
