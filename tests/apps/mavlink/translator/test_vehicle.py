@@ -238,25 +238,22 @@ async def test_all_parameters_are_listed(ground: Ground) -> None:
     assert {one["param_count"] for one in told} == {len(PARAMETERS)}
 
 
-@pytest.mark.parametrize("name", PARAMETERS)
-async def test_a_parameter_is_set_inside_its_range_and_nowhere_else(
-    ground: Ground, name: str
-) -> None:
-    one = PARAMETERS[name]
-
-    async def told() -> bytes:
+async def test_a_parameter_is_set_inside_its_range_and_nowhere_else(ground: Ground) -> None:
+    async def told(name: str) -> tuple[str, bytes]:
         ground.send("PARAM_REQUEST_READ", param_id=name, param_index=-1, target_system=1)
         await anyio.sleep(0.1)
-        return struct.pack("<f", ground.last("PARAM_VALUE")["param_value"])
+        last = ground.last("PARAM_VALUE")
+        return last["param_id"], struct.pack("<f", last["param_value"])
 
-    before = await told()
-    for value in (one.least, one.most) if one.is_settable else ():
-        ground.send("PARAM_SET", param_id=name, param_value=value, target_system=1)
-        assert await told() == struct.pack("<f", value)
-        before = struct.pack("<f", value)
-    for value in (one.most + 1, one.least - 1, math.nan, math.inf):
-        ground.send("PARAM_SET", param_id=name, param_value=value, target_system=1)
-        assert await told() == before
+    for name, one in PARAMETERS.items():
+        before = await told(name)
+        for value in (one.least, one.most) if one.is_settable else ():
+            ground.send("PARAM_SET", param_id=name, param_value=value, target_system=1)
+            before = name, struct.pack("<f", value)
+            assert await told(name) == before
+        for value in (one.most + 1, one.least - 1, math.nan, math.inf):
+            ground.send("PARAM_SET", param_id=name, param_value=value, target_system=1)
+            assert await told(name) == before, value
 
 
 async def test_an_integer_travels_as_its_bits(ground: Ground) -> None:
