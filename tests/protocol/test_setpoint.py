@@ -165,19 +165,11 @@ def test_values_reach_to_the_ends_of_their_range_and_not_beyond(
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 @pytest.mark.parametrize("name", ["x", "y", "z", "turn"])
-@pytest.mark.parametrize(("number", "horizontal", "vertical", "yaw", "flag"), MODES)
-def test_no_value_may_be_nan_or_infinite(
-    number: int,
-    horizontal: Horizontal,
-    vertical: Vertical,
-    yaw: Yaw,
-    flag: int,
-    name: str,
-    value: float,
-) -> None:
-    with pytest.raises(BadSetpoint) as caught:
-        build(horizontal, vertical, yaw, **only(name, value))
-    assert caught.value.cause == "a computation that went wrong upstream"
+def test_no_value_may_be_nan_or_infinite(name: str, value: float) -> None:
+    for number, horizontal, vertical, yaw, _ in MODES:
+        with pytest.raises(BadSetpoint) as caught:
+            pytest.fail(f"{number}: {build(horizontal, vertical, yaw, **only(name, value))}")
+        assert caught.value.cause == "a computation that went wrong upstream", number
 
 
 @pytest.mark.parametrize("name", ["x", "z"])
@@ -337,16 +329,16 @@ def test_firmware_1_0_knows_tilt_in_the_body_frame_only() -> None:
     assert Setpoint.from_move(Move(0x08, 0, 0, 0, 0), profile("2.3")).frame is ReferenceFrame.GROUND
 
 
-@pytest.mark.parametrize("flag", range(256))
-def test_every_flag_is_a_setpoint_or_refused(flag: int) -> None:
+def test_every_flag_is_a_setpoint_or_refused() -> None:
     legal = {flag for *_, flag in MODES}
-    move = Move(flag, 0.0, 0.0, 0.0, 0.0)
-    if flag & 0x04 or flag & 0xF8 not in legal:
-        with pytest.raises(BadSetpoint):
-            Setpoint.from_move(move, profile("3.1"))
-    else:
-        setpoint = Setpoint.from_move(move, profile("3.1"))
-        assert setpoint.control_flag(profile("3.1")) == flag
+    for flag in range(256):
+        move = Move(flag, 0.0, 0.0, 0.0, 0.0)
+        if flag & 0x04 or flag & 0xF8 not in legal:
+            with pytest.raises(BadSetpoint):
+                pytest.fail(f"{flag:#x}: {Setpoint.from_move(move, profile('3.1'))}")
+        else:
+            setpoint = Setpoint.from_move(move, profile("3.1"))
+            assert setpoint.control_flag(profile("3.1")) == flag
 
 
 def test_an_aircraft_reads_values_beyond_the_range_as_they_are() -> None:
