@@ -302,7 +302,8 @@ def test_parquet_holds_what_csv_holds(cli: CommandLine, flight: Path) -> None:
     rows = list(csv.DictReader(cli("log", "csv", str(flight), "position").out.splitlines()))
     assert table.column_names == list(rows[0])
     assert table.num_rows == len(rows)
-    assert f"{len(rows)} rows in" in outcome.out
+    [told] = outcome.objects
+    assert told == {"rows": len(rows), "file": str(flight.with_suffix(".parquet"))}
 
 
 def test_a_file_that_is_there_stays(cli: CommandLine, flight: Path) -> None:
