@@ -7,7 +7,7 @@ import sys
 import tomllib
 from pathlib import Path
 
-gc.set_threshold(200_000)  # nothing of a manual becomes garbage: to look for it took a fifth
+gc.disable()  # nothing of a manual becomes garbage: to look for it took a fifth
 
 DOCS = Path(__file__).parent
 sys.path.insert(0, str(DOCS / "_ext"))
