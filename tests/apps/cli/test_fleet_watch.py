@@ -80,7 +80,7 @@ def test_logs_are_listed_and_fetched_and_one_that_is_written_is_said(
     ]
     assert told[0]["is_written"]
     listed = subprocess.run(
-        [sys.executable, "-m", "m100link", "fleet", "log", "list", "a1"],
+        [sys.executable, "-m", "m100link", "fleet", "log", "list", "a1", "--table"],
         capture_output=True,
         text=True,
         env=site.environment,
