@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from m100link import BadPlan, WaypointPlan
-from m100link.missions import qgroundcontrol as qgroundcontrol_items
+from m100link.missions.qgroundcontrol import MavCommand
 from tests.missions.qgroundcontrol import file, item, survey, waypoint
 
 ITEMS = waypoint(0), waypoint(50)
@@ -22,7 +22,7 @@ def refusal(document: dict[str, Any], **options: Any) -> BadPlan:
 
 def test_commands_have_the_names_of_mavlink() -> None:
     common = pytest.importorskip("pymavlink.dialects.v20.common")
-    names = {number: f"MAV_CMD_{name}" for number, name in qgroundcontrol_items._NAMES.items()}
+    names = {command.value: f"MAV_CMD_{command.name}" for command in MavCommand}
     assert names == {number: common.enums["MAV_CMD"][number].name for number in names}
 
 
