@@ -184,12 +184,14 @@ class SetpointLoop:
             self._task = new_task(self._run(), "m100link setpoints")
         if not self._news.is_set():
             self._loop.call_soon(self._news.set)
-        if now >= self._due_at() - _SLACK and (is_checked or self._admits(self._setpoint)):
+        if now >= self._due_at(0.0) - _SLACK and (is_checked or self._admits(self._setpoint)):
             self._transmit(self._setpoint, now)
 
-    def _due_at(self) -> float:
-        """When the present setpoint goes out next."""
-        return self._slot + (_PERIOD if self._setpoint != self._frame else self._period)
+    def _due_at(self, patience: float) -> float:
+        """When the present setpoint goes out next; a repetition waits so many seconds longer."""
+        if self._setpoint is not self._frame and self._setpoint != self._frame:
+            return self._slot + _PERIOD
+        return self._slot + self._period + patience
 
     def neutralise(self) -> None:
         """Replace the setpoint by its neutral, which then falls silent by itself."""
@@ -298,9 +300,7 @@ class SetpointLoop:
                     self._news.clear()
                     await self._news.wait()
                     continue
-                due_at = self._due_at()
-                if self._is_renewed and self._setpoint == self._frame:
-                    due_at += _SLACK
+                due_at = self._due_at(_SLACK if self._is_renewed else 0.0)
                 if due_at - now > INSTANT:
                     # News must not wait for the end of a long period: look once in a short one.
                     free_at = self._slot + _PERIOD
