@@ -54,8 +54,12 @@ class _CountedOutlet(Outlet):
         self.outlet.put(payload, attachment)
 
     def put_later(self, make: Callable[..., bytes], *what: Any) -> None:
-        self.sent[self.kind] += 1
-        self.outlet.put_later(make, *what)
+        def made() -> bytes:
+            payload = make(*what)
+            self.sent[self.kind] += bool(payload)
+            return payload
+
+        self.outlet.put_later(made)
 
     def is_wanted(self) -> bool:
         return self.outlet.is_wanted()

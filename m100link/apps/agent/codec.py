@@ -304,10 +304,6 @@ def _unpack_steer(data: bytes) -> Steer:
     return Steer(fence, sent_at, lifetime, Setpoint(mode, x, y, z, yaw, frame, stable))
 
 
-def _pack_telemetry(message: Telemetry) -> bytes:
-    return pack_telemetry(message.value, message.profile, message.received_at)
-
-
 def pack_telemetry(value: bytes, profile: str, received_at: float) -> bytes:
     """The bytes of a :class:`~m100link.apps.agent.messages.Telemetry`, a hundred times a second."""
     if len(value) > MAX_BYTES:
@@ -329,7 +325,10 @@ def _unpack_telemetry(data: bytes) -> Telemetry:
     return Telemetry(data[begin:], profile, received_at)
 
 
-_PACK: dict[type[Any], Callable[[Any], bytes]] = {Steer: _pack_steer, Telemetry: _pack_telemetry}
+_PACK: dict[type[Any], Callable[[Any], bytes]] = {
+    Steer: _pack_steer,
+    Telemetry: lambda one: pack_telemetry(one.value, one.profile, one.received_at),
+}
 _UNPACK: dict[int, tuple[type[Any], Callable[[bytes], Message]]] = {
     _IS_STEER: (Steer, _unpack_steer),
     _IS_TELEMETRY: (Telemetry, _unpack_telemetry),

@@ -13,6 +13,7 @@ import logging
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from time import perf_counter
 from typing import Any, Protocol, TypeVar
 
@@ -72,8 +73,9 @@ class Outlet(Held, Protocol):
         """Send one; never waits, and a message that the network does not take is lost."""
 
     def put_later(self, make: Callable[..., bytes], *what: Any) -> None:
-        """Send what this makes when it goes: at once, where it does not wait for others."""
-        self.put(make(*what))
+        """Send what this makes when it goes, if anything: at once, where it does not wait."""
+        if payload := make(*what):
+            self.put(payload)
 
     def is_wanted(self) -> bool:
         """Whether anybody is known to listen; kept messages are for late listeners."""
@@ -281,18 +283,21 @@ class Bundle:
     """Messages that wait a moment for others: one wake-up of zenoh's thread sends all of them.
 
     Packing a message when it goes costs a fraction of packing it when it comes: the processor has
-    all of it at hand from the one before.
+    all of it at hand from the one before. And zenoh's thread wakes up once for those that follow
+    each other closely.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         self._loop = loop
-        self._waiting: deque[tuple[Callable[..., None], tuple[Any, ...]]] = deque()
+        self._waiting: deque[tuple[Callable[[bytes], None], Callable[..., bytes], Any]] = deque()
         self._timer: asyncio.TimerHandle | None = None
         self._within = 0.0  # how long the first that waits for the timer may wait, s
 
-    def put(self, within: float, send: Callable[..., None], *what: Any) -> None:
+    def put(
+        self, within: float, send: Callable[[bytes], None], make: Callable[..., bytes], *what: Any
+    ) -> None:
         """Let one wait for so many seconds at most."""
-        self._waiting.append((send, what))
+        self._waiting.append((send, make, what))
         if self._timer is None or (
             within < self._within and self._timer.when() > self._loop.time() + within
         ):
@@ -305,9 +310,13 @@ class Bundle:
 
     def _send(self) -> None:
         self._timer = None
+        made = deque[tuple[Callable[[bytes], None], bytes]]()
         for _ in range(min(_SENT_AT_ONCE, len(self._waiting))):
-            send, what = self._waiting.popleft()
-            _do(send, *what)
+            send, make, what = self._waiting.popleft()
+            _do(lambda: made.append((send, make(*what))))  # noqa: B023 - it is done at once
+        for send, payload in made:
+            if payload:
+                _do(send, payload)
         if self._waiting:
             self._send_in(_NEXT_S)
 
@@ -323,10 +332,12 @@ class BatchingPublisher(Outlet):
         self._outlet, self._bundle, self._within = outlet, bundle, within
 
     def put(self, payload: bytes, attachment: bytes | None = None) -> None:
-        self._bundle.put(self._within, self._outlet.put, payload, attachment)
+        self._bundle.put(
+            self._within, partial(self._outlet.put, attachment=attachment), bytes, payload
+        )
 
     def put_later(self, make: Callable[..., bytes], *what: Any) -> None:
-        self._bundle.put(self._within, self._outlet.put_later, make, *what)
+        self._bundle.put(self._within, self._outlet.put, make, *what)
 
     def is_wanted(self) -> bool:
         return self._outlet.is_wanted()

@@ -224,12 +224,14 @@ class FleetAgent:
         self._event.put(payloads.pack(event))
 
     def _on_sample(self, sample: Sample) -> None:
-        is_for_wall = self._thinner.goes_on(sample.flags, sample.received_at)
-        is_watched = self._full.is_wanted()
-        if is_for_wall:
-            self._wall.put_later(_package, sample)
-        if is_watched:
+        if self._wall.is_wanted():
+            self._wall.put_later(self._thinned, sample)
+        if self._full.is_wanted():
             self._full.put(_package(sample))
+
+    def _thinned(self, sample: Sample) -> bytes:
+        goes_on = self._thinner.goes_on(sample.flags, sample.received_at)
+        return _package(sample) if goes_on else b""
 
     def _tell_state(self) -> None:
         self._state.put_later(self._packed)
@@ -475,7 +477,7 @@ class FleetAgent:
 
 
 class _Moment:
-    """One of twenty moments of a second, at which many agents of a process tell of themselves.
+    """One of five moments of a second, at which many agents of a process tell of themselves.
 
     Of hundreds at one moment some would be lost, and a timer for each would cost as much again.
     """
@@ -499,7 +501,7 @@ class _Moment:
             self._timer.cancel()
 
 
-_MOMENTS = round(_CARD_S / WALL_WITHIN_S)
+_MOMENTS = 5
 _moments: WeakKeyDictionary[asyncio.AbstractEventLoop, dict[int, _Moment]] = WeakKeyDictionary()
 
 
@@ -509,7 +511,7 @@ def _each_second(name: str, tell: Callable[[], None]) -> Callable[[], None]:
     known = _moments.setdefault(loop, {})
     moment = known.get(which)
     if moment is None or not moment.tells:
-        moment = known[which] = _Moment(loop, which * WALL_WITHIN_S)
+        moment = known[which] = _Moment(loop, which * _CARD_S / _MOMENTS)
     moment.tells.append(tell)
     return partial(moment.leave, tell)
 
