@@ -537,7 +537,7 @@ STATIONS: list[tuple[str, dict[str, dict[str, Any]], dict[str, Any]]] = [
     (
         "replay /x/a.mcap --from 60 --until 90.5 --speed 4",
         {"m100": {"url": "replay:///x/a.mcap?speed=4.0&from=60.0&until=90.5", "record": None}},
-        {"with_console": True, "with_rosbridge": False, "open_browser": True, "keys": serve._keys},
+        {"with_console": True, "with_rosbridge": False, "open_browser": True},
     ),
     (
         "replay /x/a.mcap /x/2.mcap --speed max --no-open-browser",
@@ -545,7 +545,7 @@ STATIONS: list[tuple[str, dict[str, dict[str, Any]], dict[str, Any]]] = [
             "a": {"url": "replay:///x/a.mcap?speed=max&from=0.0"},
             "flight_2": {"url": "replay:///x/2.mcap?speed=max&from=0.0"},
         },
-        {"with_console": True, "with_rosbridge": False, "open_browser": False, "keys": serve._keys},
+        {"with_console": True, "with_rosbridge": False, "open_browser": False},
     ),
 ]
 
