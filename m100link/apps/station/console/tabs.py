@@ -184,7 +184,8 @@ class Tabs:
 
     def _watch(self, agent: AgentClient, slept: float) -> None:
         """Report once that pages get half of their updates: nothing else would show it."""
-        self._slept += (slept - self._slept) / WATCHED
+        # One long stop, as of a suspended process, shows nothing about the computer.
+        self._slept += (min(slept, 4 * LIVE_INTERVAL) - self._slept) / WATCHED
         if self._slept > 2 * LIVE_INTERVAL:
             agent.note(
                 "this computer is too busy: pages get less than half of their 20 updates a second. "

@@ -7,6 +7,7 @@ import json
 import subprocess
 import sys
 from collections.abc import Awaitable, Callable
+from random import Random
 from types import SimpleNamespace
 from typing import Any
 
@@ -120,6 +121,30 @@ async def test_a_computer_that_is_too_slow_for_its_pages_says_so_once(
     assert page.is_open
     assert [level for level, _ in told] == ["warning"] * times
     assert all("Close tabs and other programs" in text for _, text in told)
+
+
+@pytest.mark.parametrize("tabs", [1, 8])
+async def test_one_stop_of_the_process_is_no_slow_computer(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch, tabs: int
+) -> None:
+    """Five seconds of Ctrl-Z said so, and then nothing more when it was true."""
+    told: list[str] = []
+    monkeypatch.setattr(rig.front, "note", lambda text, level="info": told.append(level))
+    loop = asyncio.get_running_loop()
+    assert isinstance(loop, VirtualClockEventLoop)
+    shown = Tabs({"m100": rig.front})
+    pages = [Page(rig, shown) for _ in range(tabs)]
+    seed = Random().randrange(10**6)
+    for stop_s in (5.0, 3600.0, Random(seed).uniform(0.5, 100.0)):
+        await anyio.sleep(0.2)
+        loop._jumping.now += stop_s
+    await anyio.sleep(0.2)
+    assert told == [], f"seed {seed}"
+    for _ in range(250):
+        await asyncio.sleep(1e-4)
+        loop._jumping.now += 0.12
+    assert told == ["warning"]
+    assert all(page.is_open for page in pages)
 
 
 async def test_a_socket_is_for_a_tab_that_was_opened_and_for_one_at_a_time(rig: Rig) -> None:
