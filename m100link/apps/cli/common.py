@@ -313,8 +313,9 @@ class Ended(asyncio.Event):
 
     def _tell(self) -> None:
         self.set()
-        if self._beginning is not None:
-            self._beginning.cancel()
+        beginning, self._beginning = self._beginning, None
+        if beginning is not None:  # once: a second signal would cut short how it ends
+            beginning.cancel()
             err.print("ending")
 
     async def wait(self) -> Literal[True]:

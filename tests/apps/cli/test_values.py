@@ -1166,16 +1166,22 @@ def test_what_a_configuration_may_say(name: str, good: Any, bad: Any) -> None:
 
 
 async def test_an_end_is_an_event_and_cancels_what_began_it_until_it_is_waited_for() -> None:
-    """A verb may wait for a router that never answers."""
+    """A verb may wait for a router that never answers. A second signal ends nothing sooner."""
     waited: list[bool] = []
+    ended_in_order: list[bool] = []
 
     async def verb(*, waits: bool) -> None:
         ended = common.Ended()
-        asyncio.get_running_loop().call_later(1.0, ended._tell)
+        for after_s in (1.0, 1.1, 1.9):
+            asyncio.get_running_loop().call_later(after_s, ended._tell)
         if waits:
             waited.append(await ended.wait())
-        else:
+            return
+        try:
             await asyncio.sleep(1000)
+        finally:
+            await asyncio.sleep(1.0)  # a landing, or the end of a process
+            ended_in_order.append(True)
 
     loop = asyncio.get_running_loop()
     numbers: list[int] = []
@@ -1184,7 +1190,7 @@ async def test_an_end_is_an_event_and_cancels_what_began_it_until_it_is_waited_f
         await asyncio.create_task(verb(waits=True))
         with pytest.raises(asyncio.CancelledError):
             await asyncio.create_task(verb(waits=False))
-    assert waited == [True]
+    assert (waited, ended_in_order) == ([True], [True])
     assert numbers[:2] == [signal.SIGINT, signal.SIGTERM]
 
 
