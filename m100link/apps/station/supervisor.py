@@ -301,8 +301,8 @@ def run_child(work: Callable[[dict[str, Any], asyncio.Event], Awaitable[None]]) 
 
 def answer(**values: Any) -> None:
     """Report to the supervisor that this process runs, or the fault that kept it from it."""
-    sys.stdout.write(json.dumps(values) + "\n")
-    sys.stdout.flush()
+    with suppress(BrokenPipeError):  # it has gone, and this process ends for that
+        os.write(1, json.dumps(values).encode() + b"\n")
 
 
 def leave_what_stays() -> None:

@@ -733,7 +733,7 @@ async def test_where_one_does_not_start_none_runs_on(monkeypatch: pytest.MonkeyP
 
 @pytest.mark.parametrize("error", [None, UsageError("it cannot be", remedy="so")])
 def test_a_child_works_until_a_signal_and_tells_its_fault(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], error: M100Error | None
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], error: M100Error | None
 ) -> None:
     line = json.dumps({"place": 2, "log": None})
     monkeypatch.setattr("sys.stdin", SimpleNamespace(readline=lambda: line))
@@ -748,7 +748,7 @@ def test_a_child_works_until_a_signal_and_tells_its_fault(
         supervisor.answer(is_virtual=True)
 
     assert supervisor.run_child(work) == (0 if error is None else 1)
-    told = json.loads(capsys.readouterr().out)
+    told = json.loads(capfd.readouterr().out)
     assert asked == [{"place": 2, "log": None}]
     if error is None:
         assert told == {"is_virtual": True}
@@ -757,14 +757,39 @@ def test_a_child_works_until_a_signal_and_tells_its_fault(
 
 
 def test_a_child_that_loaded_for_a_supervisor_that_has_gone_ends(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     async def work(*_: object) -> None:
         pytest.fail("nobody asked for anything")
 
     monkeypatch.setattr("sys.stdin", SimpleNamespace(readline=lambda: ""))
     assert supervisor.run_child(work) == 0
-    assert capsys.readouterr().out == ""
+    assert capfd.readouterr().out == ""
+
+
+@pytest.mark.parametrize("ending", ["killed as it serves", "gone as it failed"])
+def test_a_child_of_a_supervisor_that_was_killed_tells_nobody(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], ending: str
+) -> None:
+    """It ended by a traceback on the terminal of a station that was there no more."""
+    monkeypatch.setattr("sys.stdin", SimpleNamespace(readline=lambda: '{"log": null}'))
+
+    async def work(*_: object) -> None:
+        if ending == "gone as it failed":
+            raise UsageError("no agent answers", remedy="start the station again")
+        supervisor.answer(console_path="/")
+
+    read, write = os.pipe()
+    os.close(read)
+    before = os.dup(1)
+    os.dup2(write, 1)
+    try:
+        assert supervisor.run_child(work) == (ending == "gone as it failed")
+    finally:
+        os.dup2(before, 1)
+        os.close(before)
+        os.close(write)
+    assert capfd.readouterr() == ("", "")
 
 
 async def test_a_child_ends_when_nobody_writes_to_it_any_more(
