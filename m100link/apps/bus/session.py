@@ -415,6 +415,9 @@ async def _opened(config: zenoh.Config) -> zenoh.Session:
             session = zenoh.open(config)
         except Exception as error:  # noqa: BLE001 - raised again where it is waited for
             failed = error
+        except BaseException as panic:  # noqa: BLE001 - of Rust, and no Exception
+            cause = "this process may open no more files, or begin no more threads"
+            failed = M100Error(f"zenoh: {panic}", cause=cause, remedy="try ulimit -n 1024")
         try:
             loop.call_soon_threadsafe(done, session, failed)
         except RuntimeError:  # the event loop has ended

@@ -18,7 +18,7 @@ import pytest
 from m100link.apps.bus import session as session_module
 from m100link.apps.bus.network import Inbox, Question
 from m100link.apps.bus.session import LARGEST, Opening, ZenohBus, open_session
-from m100link.errors import PortBusy, UsageError
+from m100link.errors import M100Error, PortBusy, UsageError
 from m100link.sim.clock import virtual_clock_loop
 from tests.apps.bus.pair import free_place, opening, two, until
 from tests.waiting import PATIENCE
@@ -183,6 +183,22 @@ async def test_what_zenoh_raises_as_it_opens_is_raised_as_it_is(
     with pytest.raises(ValueError, match="no such key") as caught:
         await session_module._opened(zenoh.Config())
     assert caught.value is error
+
+
+async def test_a_panic_of_zenoh_is_an_error_of_the_one_who_opens(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """With 12 file descriptors it panics, which is no Exception: verbs waited for ever."""
+
+    class PanicException(BaseException):
+        pass
+
+    zenoh = pytest.importorskip("zenoh")
+    monkeypatch.setattr(zenoh, "open", Mock(side_effect=PanicException("Failed to init net")))
+    async with asyncio.timeout(PATIENCE):
+        with pytest.raises(M100Error, match="zenoh: Failed to init net") as caught:
+            await session_module._opened(zenoh.Config())
+    assert caught.value.remedy == "try ulimit -n 1024"
 
 
 @pytest.mark.pty
