@@ -19,6 +19,8 @@ pytest.importorskip("cyclopts")
 from cyclopts import CycloptsError
 
 from m100link.apps.cli.app import _FORMER, _renamed, app
+from m100link.apps.cli.serve import StationOptions, aircraft_of
+from m100link.errors import UsageError
 
 PAGE = (Path(__file__).parents[1] / "docs/howto/move-from-0-2.md").read_text(encoding="utf-8")
 
@@ -65,6 +67,33 @@ def test_each_renamed_option_has_a_row() -> None:
     for verb, renamed in _FORMER.items():
         for option in renamed:
             assert any(words[0] == verb and option in words for words in rows), (verb, option)
+
+
+@pytest.mark.parametrize("order", [1, -1])
+@pytest.mark.parametrize("form", [" ", "="])
+def test_an_old_name_beside_that_of_today_is_refused(form: str, order: int) -> None:
+    """Neither value wins in silence. Items of a list are all kept, and two aircraft are two."""
+    values = {"--item-rate": ("a=1", "b=2"), "": ("one=sim://", "two=sim://")}
+    for verb, renamed in _FORMER.items():
+        for option, today in renamed.items():
+            old, new = values.get(today, ("3", "4"))
+            both = [f"{option}{form}{old}", f"{today}{form}{new}" if today else new][::order]
+            words = _renamed([verb, *" ".join(both).split()])
+            if today not in values:
+                with pytest.raises(CycloptsError, match="multiple times"):
+                    understood(words)
+                continue
+            understood(words)
+            assert "".join(words).count(old) == "".join(words).count(new) == 1
+
+
+def test_a_file_of_settings_that_only_0_2_reads_is_no_silent_loss(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Without its limits, token and certificate the station would serve by others."""
+    monkeypatch.setenv("M100LINK_CONFIG", "station.toml")
+    with pytest.raises(UsageError, match="M100LINK_CONFIG names a file"):
+        aircraft_of(StationOptions(), ["sim://"])
 
 
 LOOK = """

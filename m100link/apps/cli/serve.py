@@ -304,11 +304,13 @@ def settings_of(
     page: PageOptions | None = None,
     **more: Any,
 ) -> Settings:
-    """The settings from all sources."""
+    """The settings from all sources. Raises UsageError: a setting is wrong, or one of 0.2."""
+    if os.environ.get("M100LINK_CONFIG"):  # a script of 0.2 would serve by other settings
+        remedy = "move its settings to [station] of the file that `m100link config` shows; unset it"
+        raise UsageError("M100LINK_CONFIG names a file that 1.0 does not read", remedy=remedy)
     known = {one.name for one in fields(Settings)}
     asked = {**vars(options), **({} if page is None else vars(page))}
-    given = {name: value for name, value in asked.items() if name in known}
-    flags = {name: value for name, value in given.items() if value != ()}
+    flags = {name: value for name, value in asked.items() if name in known and value != ()}
     configuration = read_configuration()
     settings = resolve(
         flags | more,
@@ -370,8 +372,7 @@ def _in_process(settings: Settings) -> Settings:
 class StationOptions(_FromSettings):  # type: ignore[misc] # a class that is made has no type
     """Where the aircraft is, whose app it is, who may connect.
 
-    Every setting may also come from the environment, a TOML file, a ROS launch file or the user's
-    configuration file, in this order.
+    Settings also come from environment, ROS launch file and configuration file, in this order.
 
     Attributes:
         launch: ROS launch file of DJI's node, read as it is.
