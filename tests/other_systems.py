@@ -4,7 +4,7 @@
 does for macOS. Python itself and other packages keep everything: they know these systems.
 
 What no stand-in shows, and only the system itself does: paths with drives and backslashes, files
-that cannot be removed while they are open, timers of 15 ms, COM ports, and how processes end.
+that another process has open, timers of 15 ms, COM ports, and how processes end.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import stat
 import sys
 import time
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -137,6 +138,20 @@ def _fstat(handle: int) -> os.stat_result:
     return os.stat_result(found)
 
 
+def _in_use(real: Callable[..., Any]) -> Callable[..., Any]:
+    """Windows moves and removes no file that is open, nor puts another one in its place."""
+
+    def method(self: Path, *others: Any, **options: Any) -> Any:
+        if _asks():
+            files = [one.stat() for one in Path("/proc/self/fd").iterdir() if one.exists()]
+            for path in (self, *map(Path, others)):
+                if path.exists() and any(os.path.samestat(path.stat(), one) for one in files):
+                    raise PermissionError(13, "Permission denied", str(path))
+        return real(self, *others, **options)
+
+    return method
+
+
 class _Proactor(asyncio.SelectorEventLoop):
     """The usual event loop of Windows: it has processes and pipes, and watches nothing."""
 
@@ -182,6 +197,8 @@ def stand_in(system: str) -> None:
         instead["signal"] = {"SIGBREAK": BREAK}
         instead["socket"] = {"SO_EXCLUSIVEADDRUSE": socket.SO_REUSEADDR}
         _without_watching(asyncio.SelectorEventLoop)
+        for name in ("rename", "replace", "unlink"):
+            setattr(Path, name, _in_use(getattr(Path, name)))
         unix_events = vars(importlib.import_module("asyncio.unix_events"))
         unix_events["_UnixDefaultEventLoopPolicy"]._loop_factory = _Proactor  # no public name
     missing = MISSING[system]

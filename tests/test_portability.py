@@ -229,6 +229,14 @@ def test_verbs_that_serve_nobody(system: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_a_recording_of_nothing_leaves_no_file_on_windows(tmp_path: Path) -> None:
+    ran = verb("win32", "record", "tcp://127.0.0.1:1", "-o", str(tmp_path), "--duration", "1")
+    assert ran.returncode == 3
+    assert "recording ended" not in ran.stderr
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("words", "status", "says"),
     [

@@ -366,6 +366,7 @@ class Recorder:
             if log.finish():
                 log.sync()
             else:  # the port could not even be opened: nothing is left behind
+                log.close()  # Windows removes no file that is open
                 self.path.unlink()
         except Exception as error:  # noqa: BLE001 - whatever it is ends the log and nothing else
             self.failure = error
