@@ -367,8 +367,7 @@ class Payload:
             self._drop_aim()
             return
         self._aims_at = now + (_TURNS_S if aim.is_turn else _FOLLOWS_S)
-        order = self._order_of(aim)
-        if order is not None:
+        if (order := self._order_of(aim)) is not None:
             self._is_aiming = True
             self._manager.orders.append(PayloadOrder(order, partial(self._aimed, aim)))
         elif aim.place is None and not (aim.follows and math.isfinite(aim.yaw_deg)):
@@ -388,7 +387,8 @@ class Payload:
         if interval.left is not None:
             interval.left -= 1
         # From when it was due, so that the interval holds; not from long ago.
-        interval.due_at = max(interval.due_at + self._state.interval_s, now)
+        is_missed = now - interval.due_at >= self._state.interval_s
+        interval.due_at = (now if is_missed else interval.due_at) + self._state.interval_s
 
         def taken(result: MavResult) -> None:
             if result is not MavResult.ACCEPTED and self._interval is interval:

@@ -259,6 +259,22 @@ async def test_photos_are_taken_at_an_interval_until_their_number(rig: Rig, grou
     assert ground.last("CAMERA_CAPTURE_STATUS")["image_status"] == 0, "everybody hears its end"
 
 
+async def test_photos_hold_their_interval_and_none_that_was_missed_is_made_up(
+    rig: Rig, ground: Ground, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each 2 s: late by less than that, the next one is on time; a camera takes no burst."""
+    assert await ground.ask(PHOTO, 0, 2.0, 0, 0, component=CAMERA) is ACCEPTED
+    await anyio.sleep(0.5)
+    payload, taken, after = rig.vehicle._payload, list[float](), 0.0
+    monkeypatch.setattr(payload, "_use", lambda *_: taken.append(after))
+    assert payload._interval is not None
+    assert payload._interval.due_at is not None
+    first_at = payload._interval.due_at
+    for after in (0.0, 1.9, 3.5, 3.9, 4.0, 16.0, 16.1, 17.9, 18.0, 20.0):
+        payload.advance(first_at + after, lambda *_: False, ())
+    assert taken == [0.0, 3.5, 4.0, 16.0, 18.0, 20.0]
+
+
 async def test_photos_without_a_number_are_taken_until_they_are_stopped(
     rig: Rig, ground: Ground
 ) -> None:
