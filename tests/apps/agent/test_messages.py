@@ -16,6 +16,7 @@ from m100link.apps.agent.messages import (
     Journal,
     MessageError,
     RemoteError,
+    Replay,
 )
 from m100link.errors import AuthorityLost, AuthorityRefused, GuardRefused, LossReason, M100Error
 from m100link.flight.guards import Envelope, GuardKeeper, Guards
@@ -115,6 +116,29 @@ def test_no_detail_that_a_stranger_names_raises_where_it_is_read() -> None:
                     found = RemoteError(name, "seen", "cause", "remedy", {told: value}).error()
                     assert (found.seen, found.cause, found.remedy) == ("seen", "cause", "remedy")
                     assert str(found) == str(kind("seen", cause="cause", remedy="remedy"))
+
+
+# -- the clock of a replay -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("played_at", "has_at", "shown"),
+    [
+        (None, None, 20.0),  # nothing was played: the replay's clock
+        (None, 15.0, 20.0),
+        (15.0, None, 20.0),
+        (15.0, 15.0, 20.0),  # all that was played is here, and the clock has gone on
+        (15.0, 15.1, 20.0),
+        (15.0, 14.9, 14.9),  # a package is on its way: nothing grows old meanwhile
+        (15.0, 20.5, 20.5),  # this package is newer than the report of the clock
+    ],
+)
+def test_the_clock_of_a_replay_waits_for_what_is_on_its_way(
+    played_at: float | None, has_at: float | None, shown: float
+) -> None:
+    """All in s by the clock of the replay, which reported 20 s."""
+    replay = Replay("a.mcap", 1.7e9, 20.0, 0.0, played_at, 20.0, 60.0, 1.0, False, False, False)
+    assert replay.time(has_at) == shown
 
 
 # -- the journal ----------------------------------------------------------------------------------
