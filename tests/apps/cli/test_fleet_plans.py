@@ -294,6 +294,8 @@ def test_a_lease_is_shared_with_nobody_else_and_no_longer_than_it_is_held(
     assert other.read_text() == "mine"
     monkeypatch.delenv("XDG_RUNTIME_DIR")
     assert lease_file("site", "a1").is_relative_to(os.environ["XDG_STATE_HOME"])
+    monkeypatch.setenv("XDG_RUNTIME_DIR", "run")  # the standard has a relative one ignored
+    assert lease_file("site", "a1").is_relative_to(os.environ["XDG_STATE_HOME"])
 
 
 @needs_zenoh
