@@ -426,6 +426,30 @@ async def test_each_waits_for_longer_until_the_newest_is_answered() -> None:
     assert waits == pytest.approx([3.0, 6.0, 12.0, 3.0])
 
 
+@pytest.mark.parametrize(("answered", "third_s"), [(1, 12.0), (2, 3.0)])
+async def test_an_answer_to_an_older_question_shortens_no_wait(
+    answered: int, third_s: float
+) -> None:
+    """Waits are 3 s, 6 s, 12 s and so on, until the newest question is answered."""
+    waits: list[float] = []
+    answer = QueryAnswer(KEY, b"")
+
+    class Old:
+        async def ask(self, _key: str, _payload: bytes, *, timeout: float) -> list[QueryAnswer]:
+            waits.append(timeout)
+            if len(waits) != answered:
+                await anyio.sleep(timeout)
+            return [answer]
+
+    async with Questions(cast(Bus, Old())) as questions:
+        for _ in range(2):
+            questions.ask(KEY, within=60.0)
+        assert await questions.answered(1.0) == (answered, [answer])
+        questions.ask(KEY, within=60.0)
+        await anyio.sleep(0.01)
+    assert waits == [3.0, 6.0, third_s]
+
+
 async def test_none_waits_for_longer_than_it_is_of_use() -> None:
     road = Road(5.0)
     async with Questions(road.here) as questions:

@@ -45,6 +45,9 @@ def test_one_is_there_while_it_is_heard_again() -> None:
     ones.require_none(16.1)
     ones.hear("other", 30.0)
     assert not ones.is_there(30.0), "it begins anew"
+    for at in range(31, 51):
+        ones.hear("other", float(at))
+        assert ones.is_there(float(at)), "once a second is enough, however long"
 
 
 @pytest.mark.parametrize(

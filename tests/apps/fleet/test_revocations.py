@@ -384,6 +384,14 @@ def test_of_another_authority_or_changed_it_is_refused(
             Revoked.verified(changed_signature, authority.certificate)
 
 
+def test_a_list_has_32_kilobytes_at_most(authority: Authority) -> None:
+    """Blanks behind the signature count, and mean nothing."""
+    data = sign_revoked(3, NAMES, authority.key).ljust(32 * 1024, b"\n")
+    assert Revoked.verified(data, authority.certificate).names == NAMES
+    with pytest.raises(BadRevoked, match="at most 32768 bytes"):
+        Revoked.verified(data + b"\n", authority.certificate)
+
+
 @pytest.mark.parametrize("cut", [b"", b"\n", b"{}", b"\n\n\n", b"\xff" * 100, bytes(LARGEST + 1)])
 def test_what_is_no_list_is_refused(authority: Authority, cut: bytes) -> None:
     with pytest.raises(BadRevoked):
