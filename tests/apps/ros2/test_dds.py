@@ -376,6 +376,21 @@ async def test_what_takes_long_to_be_read_holds_up_no_step(rclpy: Rclpy) -> None
         assert found == [b"long", b"next"]
 
 
+async def test_of_requests_that_wait_as_many_are_kept_as_its_depth_the_newest(
+    rclpy: Rclpy,
+) -> None:
+    """As for every topic of ROS: a node that asks without an end takes no memory without one."""
+    async with dds.open_dds(7, LARGEST) as bus:
+        bus.declare(NAME.token)
+        kind = "rcl_interfaces/srv/SetParameters"
+        key = declared(bus, EntityKind.SERVER, "/m100/set_parameters", kind)
+        inbox, end = bus.questions(key, 2), rclpy.nodes[0].ends["/m100/set_parameters"]
+        end.waiting.extend((b"%d" % number, b"anna") for number in range(9))
+        while end.waiting:  # noqa: ASYNC110 - a thread takes them
+            await asyncio.sleep(0.01)
+    assert [one.payload for _ in range(9) for one in inbox.take()] == [b"7", b"8"]
+
+
 async def test_rclpy_stays_as_long_as_c_reads_a_request(rclpy: Rclpy) -> None:
     """A request of a megabyte took 1.8 s, and rclpy went after one."""
     reads, goes_on = threading.Event(), threading.Event()
