@@ -7,6 +7,7 @@ import json
 import random
 import struct
 import time
+from contextlib import AsyncExitStack, suppress
 from itertools import pairwise
 from typing import Any
 
@@ -14,6 +15,7 @@ import pytest
 from websockets.asyncio.client import ClientConnection
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
+from m100link.apps.station import foxglove
 from m100link.apps.station.foxglove import FoxgloveChannel, FoxgloveServer, Viewer
 from m100link.apps.station.run import RunningStation
 from tests.apps.station.web.test_server import TOKEN, station
@@ -207,6 +209,28 @@ async def test_a_stranger_is_refused_before_the_socket_is_accepted() -> None:
             assert caught.value.response.status_code == 403
         async with connect(url(one, f"?token={TOKEN}"), subprotocols=SPOKEN) as socket:
             assert await advertised(socket)
+
+
+async def test_all_places_are_given_and_one_that_goes_makes_room(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(foxglove, "_MAX_VIEWERS", 2)
+    async with station(foxglove_port=0) as one, AsyncExitStack() as stack:
+
+        async def come() -> None:
+            await stack.enter_async_context(connect(url(one), subprotocols=SPOKEN))
+
+        leaver = await stack.enter_async_context(connect(url(one), subprotocols=SPOKEN))
+        await come()
+        with pytest.raises(InvalidStatus) as caught:
+            await come()
+        assert caught.value.response.status_code == 403
+        await leaver.close()
+        async with asyncio.timeout(PATIENCE):
+            while True:
+                with suppress(InvalidStatus):  # until the server has seen it go
+                    await come()
+                    break
 
 
 async def test_one_that_does_not_read_delays_nobody() -> None:

@@ -7,6 +7,7 @@ import json
 import logging
 import socket
 from contextlib import AsyncExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -56,6 +57,33 @@ def test_what_was_recorded_is_refused_at_the_next_start(settings: Settings, tmp_
     [file] = (tmp_path / "m100link" / "mavlink").iterdir()
     assert list(json.loads(file.read_text())["newest"]) == ["245.190.0"]
     assert asyncio.run(served(settings, recorded)) == 1
+
+
+def test_what_came_before_it_serves_is_not_obeyed(settings: Settings) -> None:
+    """Who sent a command while nobody listened does not expect it to be flown now."""
+
+    async def served_late() -> list[Any]:
+        async with AsyncExitStack() as stack:
+            [bound] = sockets = prepare(stack, settings)
+            one = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+
+            def send(component: int) -> None:
+                ping = replace(PING, component=component)
+                signer, now = PacketSigner(KEY), signature_time()
+                frame = write_frame(ping, system=245, sequence=0, signer=signer, now=now)
+                one.sendto(frame, bound.getsockname())
+
+            send(190)
+            bridge = await stack.enter_async_context(serving_mavlink({}, settings, sockets))
+            signer: Any = bridge._signer
+            send(191)
+            async with asyncio.timeout(PATIENCE):
+                while not signer.newest:  # noqa: ASYNC110 - a socket
+                    await asyncio.sleep(0.01)
+            return list(signer.newest)
+
+    [(system, component, *_)] = asyncio.run(served_late())
+    assert (system, component) == (245, 191)
 
 
 @pytest.mark.parametrize("field", ["mavlink", "mavlink_to"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import math
 import pickle
 import random
@@ -45,6 +46,7 @@ from m100link.apps.station.console.view.situation import Inputs, RecordedFlight
 from m100link.apps.station.console.view.view_model import Memory, view_of
 from m100link.errors import M100Error
 from m100link.log import recorder
+from m100link.log.reading import Message
 from m100link.protocol import profile
 from m100link.protocol.records import Attitude, Position, quaternion
 from m100link.protocol.setpoint import Setpoint
@@ -381,7 +383,7 @@ async def test_in_whatever_order_an_aircraft_has_one_hand_and_in_the_end_none(
 # -- the last minutes of every number --------------------------------------------------------------
 
 STATE = State(at=0.0, round_trip=0.02, discards=3, late_acks=1)
-HEIGHT = "position.height_m"
+HEIGHT, CHARGE = "position.height_m", "battery.percent"
 
 
 async def test_rows_are_taken_ten_times_a_second_and_a_stalled_line_is_a_gap(rig: Rig) -> None:
@@ -616,6 +618,24 @@ async def test_a_page_has_the_track_of_a_large_file_before_it_is_read(
     assert outline.story.track.length_m == pytest.approx(whole.story.track.length_m, rel=0.1)
     assert not outline.story.alarms
     assert whole.story.alarms
+
+
+def test_in_an_outline_a_value_ends_that_has_grown_old() -> None:
+    """A position counts for 1.2 s, a charge for 5 s; the clock of a file begins anywhere."""
+    position = {"latitude_rad": 0.9, "longitude_rad": 0.1, "altitude": 99.0, "height": 7.0}
+    first = {f"position.{name}": one for name, one in (position | {"gps_health": 5}).items()}
+    whole = first | {"battery.percent": 80}
+    packages = [(0, whole), *((n, {f"velocity.{one}": 0.0 for one in "xyz"}) for n in range(1, 8))]
+    messages = [
+        Message("telemetry", 5000.0 + at, 1.7e9 + at, json.dumps(values).encode())
+        for at, values in packages
+    ]
+    flight = SimpleNamespace(path=Path("a.mcap"), messages=lambda *_, **__: iter(messages))
+    found = kept._outline(cast(Any, flight), 1.0)
+    assert list(found.times) == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]
+    for name, values in ((HEIGHT, [7.0] * 2 + [None] * 6), (CHARGE, [80.0] * 6 + [None] * 2)):
+        shown = [None if one is None or math.isnan(one) else one for one in found.columns[name]]
+        assert shown == values
 
 
 async def test_a_process_that_reads_already_is_the_one_that_is_asked(alarming: Path) -> None:
