@@ -571,11 +571,13 @@ class Stand:
         heading: Of the nose, °.
         height: Above the take-off point, m.
         percent: Charge.
+        gps_health: From 0 to 5.
     """
 
     def __init__(self, guards: Guards) -> None:
         self.start = LocalFrame(-33.0, 151.2)
         self.place, self.heading, self.height, self.percent = (0.0, 0.0), 0.0, 5.0, 90
+        self.gps_health = 5
         self.keeper = GuardKeeper(guards, cast(AircraftState, self), self.start)
 
     def fresh(self, record: type[Any], *, within: float) -> Any:
@@ -587,7 +589,7 @@ class Stand:
             return Attitude(math.cos(half), 0.0, 0.0, math.sin(half))
         assert record is Position
         latitude, longitude = map(math.radians, self.start.to_geodetic(*self.place))
-        return Position(latitude, longitude, 400.0, self.height, 5)
+        return Position(latitude, longitude, 400.0, self.height, self.gps_health)
 
     def is_refused(self, check: Callable[[], None]) -> bool:
         try:
@@ -706,6 +708,9 @@ def test_sticks_climb_and_descend_as_setpoints_do() -> None:
         ({"height": 55.1}, (55.1, 50.0)),
         ({"place": along(130.0, 154.9)}, None),
         ({"place": along(130.0, 155.1)}, (155.1, 150.0)),
+        # From health 3 on the autopilot holds a position (document 2.2.3.1).
+        ({"place": along(130.0, 155.1), "gps_health": 3}, (155.1, 150.0)),
+        ({"place": along(130.0, 155.1), "gps_health": 2}, None),
         ({"percent": 20}, None),
         ({"percent": 19}, (19, 20)),
     ],

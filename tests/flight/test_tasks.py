@@ -422,9 +422,12 @@ async def test_a_take_off_is_seen_done_when_it_hovers_a_metre_up_or_more(
     shown: dict[str, Any], is_done: bool
 ) -> None:
     items = {name: values for name, values in (HOVERING | shown).items() if values is not None}
-    told = Told(items, repeat(NOT_CURRENT))
+    told, loop = Told(items, repeat(NOT_CURRENT)), asyncio.get_running_loop()
+    began_at = loop.time()
     with contextlib.nullcontext() if is_done else pytest.raises(NotObserved):
         await told.run(Task.TAKE_OFF, timeout=5)
+    # Asked after a second, and it has to be seen for another one: it may climb through a metre.
+    assert 0.0 <= loop.time() - began_at - (2.0 if is_done else 5.0) <= 0.3
 
 
 @each_firmware

@@ -6,13 +6,17 @@ import asyncio
 import struct
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 
 from m100link import (
     AckTimeout,
+    AuthorityLost,
     Control,
+    LinkLost,
+    LossReason,
     MissionKind,
     MissionRefused,
     MissionRunning,
@@ -23,6 +27,7 @@ from m100link import (
     WaypointPlan,
 )
 from m100link.flight.authority import AuthorityState
+from m100link.flight.missions.mission_guard import MissionGuard
 from m100link.flight.stop_path import StopAction
 from m100link.geodesy import LocalFrame
 from m100link.protocol.codes import MissionCode
@@ -61,6 +66,22 @@ async def test_a_mission_that_runs_already_is_found_and_setpoints_are_refused() 
             assert await control.stop_mission() is MissionKind.WAYPOINT
             control.send(NORTH)
         await assert_rests(there)
+
+
+async def test_a_mission_is_left_in_flight_once_and_for_the_first_reason(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    guard, told = MissionGuard(cast(Any, SimpleNamespace(missions=None))), list[object]()
+    guard.give_up(None, "there is none")
+    assert (guard.left_in_flight, caplog.text) == ("", "")
+    guard._run = cast(Any, SimpleNamespace(name="orbit", is_in_the_air=True, give_up=told.append))
+    first, then = AuthorityLost("lost", reason=LossReason.UNKNOWN), LinkLost("pulled")
+    guard.give_up(first, "its plan orders that for a lost RC")
+    guard.give_up(then, "no stop can reach it")
+    assert (guard.left_in_flight, told) == ("orbit", [first])
+    assert [one.message for one in caplog.records] == [
+        "the orbit flies on by itself: its plan orders that for a lost RC"
+    ]
 
 
 @pytest.mark.parametrize("is_ours", [True, False])
