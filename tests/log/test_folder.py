@@ -8,6 +8,7 @@ import hashlib
 import os
 import threading
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -164,6 +165,23 @@ async def test_what_cannot_be_recorded_is_reported_once_and_flown(
     aircraft = await by_url("sim://", flights=Flights(tmp_path / "there", tell=told))()
     await aircraft.aclose()
     assert "pip install '.[log]'" in told.all[0][1]
+
+
+async def test_of_a_log_that_nobody_waits_for_only_one_that_was_made_is_closed() -> None:
+    flights, loop = Flights(Path(), tell=Told()), asyncio.get_running_loop()
+    closed: list[str] = []
+
+    async def aclose() -> None:
+        closed.append("made")
+
+    made, failed, cancelled = (loop.create_future() for _ in range(3))
+    made.set_result(SimpleNamespace(aclose=aclose))
+    failed.set_exception(OSError("no space"))
+    cancelled.cancel()  # the program ends while the disk stands still
+    for making in (cancelled, failed, made):
+        flights._abandon(making)
+    await asyncio.gather(*flights._ending)
+    assert closed == ["made"]
 
 
 async def test_no_disk_is_waited_for_in_the_event_loop(

@@ -6,8 +6,10 @@ import json
 import re
 import struct
 import sys
+from dataclasses import fields
 from html.parser import HTMLParser
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -15,8 +17,8 @@ import pytest
 from m100link.errors import UsageError
 from m100link.log import read
 from m100link.log.channels import Curve
-from m100link.log.picture import facts, page, panels, picture
-from m100link.log.story import FlightSummary, Moment, Span, read_story
+from m100link.log.picture import _write_facts, facts, page, panels, picture
+from m100link.log.story import FlightSummary, Maxima, Moment, Span, read_story
 from tests.log.flight import flown
 
 
@@ -33,6 +35,26 @@ async def test_a_flight_is_a_picture(tmp_path: Path) -> None:
     story = read_story(read(tmp_path / "flight.mcap"))
     assert size_of(picture(story, width_px=700)) == (700, 450)
     assert size_of(picture(FlightSummary("$empty$.mcap"), width_px=700)) == (700, 450)
+
+
+def test_facts_stand_in_two_columns_of_six_from_the_top_down() -> None:
+    """In shares of the axes, from the lower left; a value stands to the right of its name."""
+    story, found = FlightSummary("a.mcap", 0.0, 60.0), list[tuple[float, float, str]]()
+    story.maxima = Maxima(**{one.name: 1 for one in fields(Maxima)})
+    story.phases = [Span("flight", 0.0, 60.0)]
+    axes = SimpleNamespace(
+        set_axis_off=lambda: None,
+        transAxes=None,
+        text=lambda x, y, text, **_: found.append((round(x, 2), round(y, 2), text)),
+    )
+    _write_facts(story, axes)
+    names, values = found[::2], found[1::2]
+    assert [(name, value) for (*_, name), (*_, value) in zip(names, values, strict=True)] == facts(
+        story
+    )[:12]
+    tops = [0.92, 0.75, 0.58, 0.41, 0.24, 0.07]
+    assert [one[:2] for one in names] == [(0.0, y) for y in tops] + [(0.5, y) for y in tops]
+    assert [one[:2] for one in values] == [(0.24, y) for y in tops] + [(0.74, y) for y in tops]
 
 
 def test_without_matplotlib_it_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
