@@ -299,6 +299,11 @@ WHOLE: list[tuple[dict[str, Any], str, int | None, str, Any, Any, str]] = [
         *(1, "turn_clockwise", 1, (False, True), "True or False"),
     ),
     (
+        {"repeat": 1.5},
+        "repeat is 1.5, not a whole number",
+        *(None, "repeat", 1.5, (1, 2), "1 to 2"),
+    ),
+    (
         {"take_off": "no"},
         "take_off is 'no'",
         *(None, "take_off", "no", (False, True), "True or False"),
