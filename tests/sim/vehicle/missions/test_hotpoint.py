@@ -103,6 +103,9 @@ def test_where_a_circle_may_be() -> None:
     assert answer.code == Code.TOO_FAR_FROM_HOME
     assert answer.largest_radius == pytest.approx(40.0, abs=0.01)
     assert near.ask(hotpoint(60.0, radius=39.0, angular_rate=5.0)).code == OK
+    away = flying(north=50.0, east=-20.0, radius_limit=100.0)  # from home, wherever it is now
+    assert away.ask(hotpoint(60.0, radius=41.0, angular_rate=5.0)).code == Code.TOO_FAR_FROM_HOME
+    assert away.ask(hotpoint(60.0, radius=39.0, angular_rate=5.0)).code == OK
 
 
 def test_on_the_ground_it_does_not_start() -> None:

@@ -351,6 +351,20 @@ def test_the_gimbals_pitch_changes_evenly_from_point_to_point(trace: int) -> Non
     assert program.vehicle.gimbal.pitch == pytest.approx(-20.0, abs=4.0)
 
 
+def test_the_gimbal_has_the_pitch_of_the_first_point_a_second_after_it() -> None:
+    """Inferred: it turns there while the aircraft waits, and not over the next leg."""
+    program = host()
+    points = [
+        point(0, 0, 0, 10, gimbal_pitch=-30, **doing((0, 3000))),
+        point(1, 60, 0, 10, gimbal_pitch=0),
+    ]
+    begin(program, points, gimbal_pitch_mode=1)
+    wait_for(program, WaypointPhase.REACHED, 0)
+    for seconds, pitch in ((0.5, -15.0), (0.6, -30.0), (1.5, -30.0)):
+        program.wait(seconds)
+        assert program.vehicle.gimbal.pitch == pytest.approx(pitch, abs=2.0)
+
+
 def test_a_free_gimbal_is_left_alone() -> None:
     program = host()
     begin(program, [point(0, 0, 0, 10, gimbal_pitch=-90), point(1, 20, 0, 10, gimbal_pitch=-30)])
