@@ -94,6 +94,21 @@ async def test_virtual_aircraft_flies_with_the_library(
     assert virtual_aircraft.height == 0.0
 
 
+@pytest.mark.anyio
+async def test_it_is_waited_for_and_taken_for_what_the_test_says(
+    virtual_aircraft: ConnectableAircraft,
+) -> None:
+    clock = asyncio.get_running_loop().time
+    async with virtual_aircraft.connect(firmware="2.3") as aircraft:
+        assert aircraft.firmware.name == "2.3"
+    virtual_aircraft.set_faults(LineFaults(mute=True))
+    began_at = clock()
+    with pytest.raises(errors.NoAircraft):
+        async with virtual_aircraft.connect(timeout=7.0):
+            pytest.fail("it said nothing")
+    assert clock() - began_at == pytest.approx(7.0, abs=0.5)
+
+
 def happenings() -> Iterator[tuple[str, str, float]]:
     """The table of the manual: what a test does, the error of the program, within how many s."""
     table = PAGE.read_text("utf-8").partition("| The test does | The program gets |")[2]
