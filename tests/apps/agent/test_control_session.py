@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncIterator, Coroutine
 from contextlib import AsyncExitStack
-from dataclasses import replace
 from random import Random
 from types import SimpleNamespace
 from typing import Any
@@ -459,34 +458,6 @@ async def test_whenever_it_is_let_go_nothing_stays_held(pilots: Pilots) -> None:
         assert agent.leases.holder(agent.now) is None, (seed, attempt)
         assert not agent.holding.has_authority, (seed, attempt)
         one.close()
-
-
-@pytest.mark.parametrize("at_order", [orders.Activate(), orders.Obtain()])
-async def test_control_that_is_let_go_at_an_order_sends_none_after_it(
-    pilots: Pilots, monkeypatch: pytest.MonkeyPatch, at_order: orders.Order
-) -> None:
-    """The aircraft obeys nobody that wants it no more: not even until the agent refuses it."""
-    one, client = session(pilots), pilots.clients[0]
-    sent: list[orders.Order] = []
-    real = client.ask
-
-    def changed(now: ControlState) -> None:
-        if now is S.LEASED:
-            client.state = replace(client.state, is_activated=False)
-
-    async def ask(order: Any, *rest: Any, **more: Any) -> Any:
-        if not isinstance(order, orders.Activate | orders.Obtain):
-            return await real(order, *rest, **more)
-        sent.append(order)
-        if order == at_order:
-            one.let_go()
-
-    one.on_change = changed
-    monkeypatch.setattr(client, "ask", ask)
-    with pytest.raises(NoAuthority, match="gave control back before it was obtained"):
-        await one.obtain()
-    assert sent[-1] == at_order
-    assert at(one) is S.ABSENT
 
 
 async def test_what_waits_behind_a_request_that_is_let_go_is_not_wanted_either(
