@@ -29,7 +29,7 @@ from websockets.server import ServerProtocol
 from m100link.apps.agent.background import SparingLogger
 from m100link.apps.station.web.intake import Intake, Metered, SocketListener
 from m100link.apps.station.web.limits import FRAME_SIZE, ConnectionLimit
-from m100link.errors import UsageError
+from m100link.errors import M100Error, UsageError
 
 if TYPE_CHECKING:
     from starlette.types import ASGIApp
@@ -384,6 +384,8 @@ class Server(uvicorn.Server):
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         """Begin to listen. A TLS handshake has as little time as a first request."""
         await self.lifespan.startup()
+        if self.lifespan.should_exit:
+            raise M100Error("the page did not start", remedy="read the error in the log above")
         config = cast(Config, self.config)
         self.server_state.default_headers = list(config.encoded_headers)
 

@@ -23,6 +23,7 @@ from m100link.apps.station.config import Settings
 from m100link.apps.station.listeners import Fronts, Sockets
 from m100link.apps.station.run import RunningStation, running
 from m100link.apps.station.web import intake, protocol
+from m100link.errors import M100Error
 from m100link.sim.virtual import VirtualAircraft
 from tests.sockets import connect
 from tests.waiting import PATIENCE
@@ -364,6 +365,24 @@ async def test_a_socket_that_is_closing_keeps_no_server_from_its_end(
         writer.close()
     assert ended == ["in order"]
     assert not [line for line in caplog.records if line.levelname == "ERROR"]
+
+
+async def test_a_page_that_does_not_start_is_no_page_that_is_served() -> None:
+    """Without shared memory or files NiceGUI failed, and the station printed its address."""
+
+    @contextlib.asynccontextmanager
+    async def lifespan(_: Starlette) -> AsyncIterator[None]:
+        raise OSError(24, "Too many open files")
+        yield
+
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        async with contextlib.AsyncExitStack() as stack:
+            sockets = Sockets({"here": [listening]})
+            fronts = Fronts(stack, Settings(), sockets, {}, {}, is_kept=False)
+            with pytest.raises(M100Error, match="the page did not start"):
+                await protocol.serve_http(
+                    fronts, "here", Starlette(lifespan=lifespan), lifespan="on"
+                )
 
 
 async def test_a_client_that_pings_and_reads_nothing_grows_nothing(
