@@ -8,7 +8,7 @@ import re
 import signal
 import sys
 from difflib import get_close_matches
-from errno import EPIPE
+from errno import EMFILE, ENFILE, EPIPE
 from functools import wraps
 from importlib.util import find_spec
 from pathlib import Path
@@ -355,6 +355,11 @@ def _status_of(words: list[str]) -> int:
         return complain(UsageError(str(error), remedy=f"{called} --help lists what there is"))
     except M100Error as error:
         return complain(error)
+    except OSError as error:
+        if error.errno not in (EMFILE, ENFILE):
+            raise
+        seen = f"this process may open no more files: {error.strerror}"
+        return complain(M100Error(seen, remedy="close what is open, or try ulimit -n 1024"))
     except KeyboardInterrupt:
         sys.stderr.write("interrupted\n")
         return ExitCode.INTERRUPTED

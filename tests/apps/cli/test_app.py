@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import contextlib
+import errno
 import io
 import logging
 import random
@@ -20,7 +21,7 @@ import pytest
 from cyclopts import App
 
 import m100link
-from m100link.apps.cli import end_at_once
+from m100link.apps.cli import connection, end_at_once
 from m100link.apps.cli.app import _FORMER, EXAMPLES, VERBS, app, application
 from m100link.apps.cli.manual import _rows
 from m100link.apps.cli.terminal import ExitCode
@@ -131,6 +132,21 @@ def test_an_option_is_known_by_its_former_name_which_warns(
     assert (warned.status, warned.out, rest) == (ExitCode.USAGE, same.out, same.err)
     arguments = app[verb].assemble_argument_collection(default_parameter=app.default_parameter)
     assert former not in {name for argument in arguments for name in argument.names}
+
+
+def test_a_process_that_may_open_no_more_files_says_so(
+    cli: CommandLine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With 12 of them a station ended by a traceback."""
+
+    def refused(*_: object, **__: object) -> None:
+        raise OSError(errno.EMFILE, "Too many open files")
+
+    monkeypatch.setattr(connection, "serial_ports", refused)
+    told = cli("ports")
+    assert told.status == ExitCode.FAILED
+    assert "may open no more files" in told.err
+    assert "ulimit -n 1024" in told.err
 
 
 def test_a_word_that_is_like_no_verb_is_named(cli: CommandLine) -> None:
