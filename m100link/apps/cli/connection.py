@@ -284,16 +284,8 @@ _MARKS = {
 }
 
 _EXIT_CODES = {
-    **dict.fromkeys(
-        (
-            Stage.PORT,
-            Stage.PERMISSION,
-            Stage.OWNER,
-            Stage.INTERFERENCE,
-            Stage.OPENING,
-        ),
-        ExitCode.PORT,
-    ),
+    **dict.fromkeys((Stage.PORT, Stage.PERMISSION, Stage.OWNER), ExitCode.PORT),
+    **dict.fromkeys((Stage.INTERFERENCE, Stage.OPENING), ExitCode.PORT),
     **dict.fromkeys((Stage.BYTES, Stage.FRAMES, Stage.TELEMETRY), ExitCode.NO_LINK),
     **dict.fromkeys((Stage.VERSION, Stage.FIRMWARE, Stage.ACCELERATION), ExitCode.NO_LINK),
     **dict.fromkeys((Stage.ACTIVATION, Stage.KEY), ExitCode.ACTIVATION),
@@ -301,12 +293,7 @@ _EXIT_CODES = {
 }
 """The exit status of the stage that failed."""
 
-_BEHIND_THE_LINE = (
-    Stage.ACTIVATION,
-    Stage.KEY,
-    Stage.MODE_SWITCH,
-    Stage.AUTHORITY,
-)
+_BEHIND_THE_LINE = (Stage.ACTIVATION, Stage.KEY, Stage.MODE_SWITCH, Stage.AUTHORITY)
 
 
 def doctor(

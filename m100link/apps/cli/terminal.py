@@ -244,21 +244,15 @@ class ExitCode:
 
 
 # The first class that fits decides, so subclasses stand before their bases.
-_EXIT_CODES: tuple[tuple[type[BaseException], int], ...] = (
+_EXIT_CODES: tuple[tuple[type[BaseException] | tuple[type[BaseException], ...], int], ...] = (
     (errors.NoRouter, ExitCode.NO_ROUTER),
     (errors.UsageError, ExitCode.USAGE),
-    (errors.NoAircraft, ExitCode.NO_LINK),
-    (errors.LinkLost, ExitCode.NO_LINK),
-    (errors.LineBlocked, ExitCode.NO_LINK),
+    ((errors.NoAircraft, errors.LinkLost, errors.LineBlocked), ExitCode.NO_LINK),
     (errors.LinkError, ExitCode.PORT),
-    (errors.ActivationRefused, ExitCode.ACTIVATION),
-    (errors.NotActivated, ExitCode.ACTIVATION),
-    (errors.LevelTooLow, ExitCode.ACTIVATION),
-    (errors.KeyRejected, ExitCode.ACTIVATION),
-    (errors.AuthorityRefused, ExitCode.AUTHORITY),
-    (errors.AuthorityError, ExitCode.AUTHORITY),
-    (errors.GuardRefused, ExitCode.REFUSED),
-    (errors.CommandRefused, ExitCode.REFUSED),
+    ((errors.ActivationRefused, errors.NotActivated), ExitCode.ACTIVATION),
+    ((errors.LevelTooLow, errors.KeyRejected), ExitCode.ACTIVATION),
+    ((errors.AuthorityRefused, errors.AuthorityError), ExitCode.AUTHORITY),
+    ((errors.GuardRefused, errors.CommandRefused), ExitCode.REFUSED),
     (TimeoutError, ExitCode.TIMEOUT),
     (errors.M100Error, ExitCode.FAILED),
 )
