@@ -251,16 +251,15 @@ class Rights:
             if name == "console" and kind != "identity":
                 seen = f"{'an aircraft' if kind == 'aircraft' else 'a router'} is named console"
                 raise _Wrong(seen, kind, name, remedy="so `fleet up` names the console")
-            if name in known:
+            if name.lower() in known:
                 raise _Wrong(
                     f"two entries are named {name}",
-                    kind,
-                    name,
-                    cause="the router knows clients by their certificates alone; ca is the "
-                    "authority's",
+                    *(kind, name),
+                    cause="the router knows clients by their certificates alone, and some disks "
+                    "take A1 for a1; ca is the authority's",
                     remedy="give each of them a name of its own",
                 )
-            known.add(name)
+            known.add(name.lower())
         console = _table(found, "console")
         _refuse_unknown(console, _CONSOLE, "console")
         if console and console.get("identity") not in list(people):

@@ -384,6 +384,8 @@ def test_names_and_keys_are_as_the_file_says() -> None:
         ("[aircraft.console]", "line 1: an aircraft is named console"),
         ("[router.console]\nhosts = ['x']", "line 1: a router is named console"),
         ("[aircraft.ca]", "two entries are named ca"),
+        ("[aircraft.a1]\n[aircraft.A1]", "line 2: two entries are named A1"),  # a disk of macOS
+        ("[aircraft.a1]\n[identity.A1]", "two entries are named A1"),
         ('[aircraft."../../x"]', "line 1: aircraft is '../../x'"),
         ('[aircraft."a\\u001b[2J"]', "line 1: aircraft is 'a\\x1b[2J'"),
         ("\n[aircraft.a1]\n\nlost = 'fall'", "line 4: lost of a1 is 'fall'"),
