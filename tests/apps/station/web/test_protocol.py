@@ -372,7 +372,8 @@ async def test_a_page_that_does_not_start_is_no_page_that_is_served() -> None:
 
     @contextlib.asynccontextmanager
     async def lifespan(_: Starlette) -> AsyncIterator[None]:
-        raise OSError(24, "Too many open files")
+        for refused in (OSError(24, "Too many open files"),):
+            raise refused
         yield
 
     with socket.create_server(("127.0.0.1", 0)) as listening:
