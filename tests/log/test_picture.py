@@ -11,13 +11,22 @@ from html.parser import HTMLParser
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import MagicMock
 
 import pytest
 
 from m100link.errors import UsageError
 from m100link.log import read
 from m100link.log.channels import Curve
-from m100link.log.picture import _write_facts, facts, page, panels, picture
+from m100link.log.picture import (
+    _draw_strip,
+    _draw_track,
+    _write_facts,
+    facts,
+    page,
+    panels,
+    picture,
+)
 from m100link.log.story import FlightSummary, Maxima, Moment, Span, read_story
 from tests.log.flight import flown
 
@@ -225,6 +234,25 @@ def test_times_and_values_stand_at_their_places_in_a_chart_of_1000_by_100() -> N
     heights = re.findall(r'class="y" style="bottom:([\d.]+)%">([\d.]+)<', charts[0])
     assert heights == [("0.0", "0"), ("60.1", "5")]
     assert '<line x1="0" x2="1000" y1="39.9" y2="39.9"/>' in charts[0]
+
+
+def test_the_picture_has_east_to_the_right_north_up_and_a_bar_for_each_span() -> None:
+    """Both directions of the track in one scale, with a tenth of its larger side for an edge."""
+    axes = MagicMock()
+    _draw_track(marked(), axes)
+    ground, flown, _, last = (call.args[:2] for call in axes.plot.call_args_list)
+    assert ground == ([0.0], [0.0])
+    assert flown == (pytest.approx([10.0, 10.0, -10.0]), pytest.approx([0.0, 20.0, 20.0]))
+    assert last == pytest.approx((-10.0, 20.0))
+    assert axes.set_xlim.call_args.args == pytest.approx((-11.0, 11.0))
+    assert axes.set_ylim.call_args.args == pytest.approx((-1.0, 21.0))
+    _draw_strip(marked(), axes)
+    bars = [(*call.args, call.kwargs["left"]) for call in axes.barh.call_args_list]
+    assert bars == [
+        *((0, 10.0, 0.0), (0, 40.0, 10.0), (1, 20.0, 0.0), (1, 30.0, 20.0), (2, 5.0, 25.0)),
+        *((3, 10.0, 15.0), (3, pytest.approx(50.0 / 300), 40.0)),  # else it could not be seen
+    ]
+    assert axes.set_ylim.call_args.args == (3.5, -0.5), "the phase is on top"
 
 
 @pytest.mark.parametrize(
