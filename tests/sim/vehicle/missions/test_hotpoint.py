@@ -98,6 +98,9 @@ def test_where_a_circle_may_be() -> None:
     assert flying(radius_limit=math.inf).ask(hotpoint(2001.0)).code == Code.TOO_FAR_AWAY
     assert flying(radius_limit=math.inf).ask(hotpoint(1999.0)).code == OK
     assert flying().ask(hotpoint(501.0)).code == Code.TOO_FAR_FROM_HOME
+    far = flying(north=-500.0, east=30.0, radius_limit=math.inf)  # from where it is
+    assert far.ask(hotpoint(1501.0)).code == Code.TOO_FAR_AWAY
+    assert far.ask(hotpoint(1499.0)).code == OK
     near = flying(radius_limit=100.0)
     answer = near.ask(hotpoint(60.0, radius=41.0, angular_rate=5.0))
     assert answer.code == Code.TOO_FAR_FROM_HOME
