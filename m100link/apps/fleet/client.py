@@ -440,7 +440,7 @@ def _remedies(connect: tuple[str, ...], options: Mapping[str, str]) -> dict[str,
     start = f"m100link fleet router --listen {place}, if none runs there; a router with "
     start += "certificates wants tls/… and --identity"
     if place.startswith("tls/"):
-        start = "m100link fleet doctor says whether it is the router, its port or a certificate"
+        start = "m100link fleet doctor FILE names the cause: router, port or certificate"
         if not any("tls" in name for name in options):
             start = f"give --identity: {place} wants a certificate"
     taken = ", ".join(read_json(options.get("listen/endpoints", "[]")))

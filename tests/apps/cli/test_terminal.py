@@ -343,7 +343,7 @@ def test_what_is_reported_otherwise_is_what_the_library_says(written: str) -> No
     for beyond in ({"height": 1e6}, {"far": 1e6}, {"speed": 1e6}):
         with pytest.raises(errors.GuardRefused) as caught:
             Envelope().check("a flight", **beyond)
-        said += caught.value.remedy
+        said += str(caught.value)
     assert written in said
 
 
