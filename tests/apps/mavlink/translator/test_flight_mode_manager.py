@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import anyio
 import pytest
@@ -645,3 +646,21 @@ async def test_a_stop_of_the_console_is_not_flown_over(rig: Rig, ground: Ground)
     assert rig.speed < 0.1
     assert ground.mode is Mode.HOLD
     await rig.until(lambda: "STOP was pressed" in ground.texts)
+
+
+@pytest.mark.parametrize(
+    ("running", "phase"),
+    [
+        (FlightSource.NOTHING, VehiclePhase.ARMED),
+        (FlightSource.STREAM, VehiclePhase.ARMED),  # by setpoints it may have landed
+        (FlightSource.TAKE_OFF, VehiclePhase.AIRBORNE),
+        (FlightSource.MISSION, VehiclePhase.AIRBORNE),
+    ],
+)
+def test_on_the_ground_what_was_ordered_counts_as_flown_and_a_stream_does_not(
+    running: FlightSource, phase: VehiclePhase
+) -> None:
+    world = cast(Any, SimpleNamespace(phase=VehiclePhase.ARMED))
+    manager = FlightModeManager(world, lambda *_: None, {})
+    manager.running = running
+    assert manager.phase is phase
