@@ -9,11 +9,13 @@ Nothing here blocks those threads, and a flood costs the oldest.
 from __future__ import annotations
 
 import asyncio
+import atexit
 import logging
 import threading
 from collections.abc import AsyncIterator, Callable, Mapping
-from contextlib import asynccontextmanager, suppress
+from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from m100link.apps.bus import network
@@ -32,6 +34,7 @@ LARGEST = 1 << 20
 
 _AGAIN_S = 0.5
 _CLOSE_S = 1.0
+_BESIDE = "m100link: beside zenoh"
 _MOST_ANSWERS = 256
 """Of one probe: more of them would wait in zenoh until the question ends."""
 
@@ -389,6 +392,50 @@ async def open_session(opening: Opening) -> AsyncIterator[ZenohBus]:
         await _closed(session)
 
 
+def _beside(
+    work: Callable[[], Any], unwanted: Callable[[Any], object] = lambda _: None
+) -> asyncio.Future[Any]:
+    """Work on a thread. ``unwanted`` takes there what came when nobody waited any more.
+
+    It is none of the executor's threads: the loop would wait for it as it ends.
+    """
+    loop = asyncio.get_running_loop()
+    found: asyncio.Future[Any] = loop.create_future()
+
+    def settle(end: Callable[[Any], None], value: Any) -> None:
+        if not found.done():
+            end(value)
+        elif end == found.set_result:
+            _beside(partial(unwanted, value))
+
+    def run() -> None:
+        end: Callable[[Any], None] = found.set_result
+        try:
+            value = work()
+        except Exception as error:  # noqa: BLE001 - raised again where it is waited for
+            end, value = found.set_exception, error
+        except BaseException as panic:  # noqa: BLE001 - of Rust, and no Exception
+            cause = "this process may open no more files, or begin no more threads"
+            panicked = M100Error(f"zenoh: {panic}", cause=cause, remedy="try ulimit -n 1024")
+            end, value = found.set_exception, panicked
+        try:
+            loop.call_soon_threadsafe(settle, end, value)
+        except RuntimeError:  # the event loop has ended
+            if end == found.set_result:
+                unwanted(value)
+
+    threading.Thread(target=run, name=_BESIDE, daemon=True).start()
+    return found
+
+
+@atexit.register
+def _wait_for_those_beside() -> None:
+    """One that comes back from zenoh as Python 3.13 or older ends would abort the process."""
+    for one in threading.enumerate():
+        if one.name == _BESIDE:
+            one.join(_CLOSE_S)
+
+
 async def _opened(config: zenoh.Config) -> zenoh.Session:
     """Open a session; one that comes when nobody waits any more is closed again.
 
@@ -397,36 +444,10 @@ async def _opened(config: zenoh.Config) -> zenoh.Session:
     """
     import zenoh
 
-    loop = asyncio.get_running_loop()
-    opened: asyncio.Future[zenoh.Session] = loop.create_future()
-
-    def done(session: zenoh.Session | None, error: Exception | None) -> None:
-        if opened.done():
-            if session is not None:
-                threading.Thread(target=_unless_closed, args=(session.close,), daemon=True).start()
-        elif session is not None:
-            opened.set_result(session)
-        else:
-            opened.set_exception(error or RuntimeError("no session"))
-
-    def work() -> None:
-        session, failed = None, None
-        try:
-            session = zenoh.open(config)
-        except Exception as error:  # noqa: BLE001 - raised again where it is waited for
-            failed = error
-        except BaseException as panic:  # noqa: BLE001 - of Rust, and no Exception
-            cause = "this process may open no more files, or begin no more threads"
-            failed = M100Error(f"zenoh: {panic}", cause=cause, remedy="try ulimit -n 1024")
-        try:
-            loop.call_soon_threadsafe(done, session, failed)
-        except RuntimeError:  # the event loop has ended
-            if session is not None:
-                _unless_closed(session.close)
-
-    # None of the executor's: the loop would wait for it as it ends.
-    threading.Thread(target=work, name="m100link: a session", daemon=True).start()
-    return await opened
+    session: zenoh.Session = await _beside(
+        partial(zenoh.open, config), lambda late: _unless_closed(late.close)
+    )
+    return session
 
 
 async def _closed(session: zenoh.Session) -> None:
@@ -435,19 +456,10 @@ async def _closed(session: zenoh.Session) -> None:
     There zenoh waits for its last try to connect, ten seconds long, and then raises: the caller
     that leaves the block would hear of its own error that much later, or of zenoh's instead.
     """
-    loop, is_closed = asyncio.get_running_loop(), asyncio.Event()
-
-    def close() -> None:
-        _unless_closed(session.close)
-        with suppress(RuntimeError):  # nobody waits any more, and the loop has ended
-            loop.call_soon_threadsafe(is_closed.set)
-
-    # None of the executor's: the loop would wait for it as it ends.
-    threading.Thread(target=close, name="m100link: end of a session", daemon=True).start()
-    try:
-        async with asyncio.timeout(_CLOSE_S):
-            await is_closed.wait()
-    except TimeoutError:
+    _, late = await asyncio.wait(
+        {_beside(partial(_unless_closed, session.close))}, timeout=_CLOSE_S
+    )
+    if late:
         _logger.info("a session is being closed whose router does not answer")
 
 

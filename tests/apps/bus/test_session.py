@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import subprocess
+import sys
 import threading
 from collections.abc import AsyncIterator, Callable
 from contextlib import AsyncExitStack
@@ -246,6 +248,37 @@ async def test_a_configuration_that_cannot_be_read_is_named_in_the_words_of_its_
     with pytest.raises(UsageError, match=r"--zenoh-config: .*json5 cannot be read"):
         async with open_session(asked):
             pass
+
+
+_ENDS = """
+import asyncio
+from m100link.apps.bus import session
+session._AGAIN_S = 0.0
+options = {"mode": '"client"', "connect/endpoints": '["tcp/127.0.0.1:1"]'}
+async def waits():
+    opening = session.Opening("a test", "x", options, is_patient=True)
+    async with session.open_session(opening):
+        pass
+async def main():
+    tasks = [asyncio.ensure_future(waits()) for _ in range(4)]
+    await asyncio.sleep(0.3)
+    for task in tasks:
+        task.cancel()
+asyncio.run(main())
+"""
+
+
+@pytest.mark.pty
+def test_a_program_that_ends_while_zenoh_looks_for_a_router_ends_well() -> None:
+    """A thread that came back from zenoh as Python 3.13 or older ended aborted the process."""
+    done = subprocess.run(
+        [sys.executable, "-c", _ENDS],
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE,
+        check=False,
+    )
+    assert (done.returncode, "FATAL" in done.stderr) == (0, False)
 
 
 # -- how long is waited: zenoh itself does not run -------------------------------------------------
