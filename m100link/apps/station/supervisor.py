@@ -115,7 +115,7 @@ class ChildProcess:
         log = in_force()
         request = self.request | {
             "starts": self._starts,
-            "log": None if log is None else asdict(log),
+            "log": self.request.get("log") if log is None else asdict(log),
         }
         self._starts += 1
         process.stdin.write(json.dumps(request).encode() + b"\n")

@@ -12,7 +12,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ import pytest
 from m100link.apps.cli.fleet_setup import AgentOptions
 from m100link.apps.cli.serve import settings_of
 from m100link.apps.cli.terminal import ExitCode
-from m100link.apps.fleet.pki import init, revoke
+from m100link.apps.fleet.pki import Kind, init, issue, revoke
 from m100link.apps.station.config import Settings
 from m100link.apps.station.fleet import recorded_apart
 from m100link.apps.station.run import _flights
@@ -272,6 +272,30 @@ def test_what_up_started_ends_when_it_is_killed(tmp_path: Path, cli: CommandLine
         assert len(children) >= 3
         begun.kill()
         until(lambda: not any(Path(f"/proc/{child}/exe").exists() for child in children))
+
+
+@pytest.mark.pty
+@needs_zenoh
+def test_what_up_started_says_that_its_certificate_ended(tmp_path: Path, cli: CommandLine) -> None:
+    """Nothing is up then; what a process of its own warns of came to nobody without --log-level."""
+    file, ends = fleet_file(tmp_path), datetime.now(UTC) - timedelta(minutes=5)
+    assert cli("fleet", "make", str(file)).status == ExitCode.OK
+    for name in ("a1", "a2"):
+        (tmp_path / f"pki/{name}.pem").unlink()
+        (tmp_path / f"pki/{name}.key").unlink()
+        issue(tmp_path / "pki", Kind.AGENT, name, now=ends - timedelta(days=30))
+    command = [sys.executable, "-m", "m100link", "fleet", "up", str(file), "a1", "a2"]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as begun:
+        assert begun.stderr is not None
+        try:
+            said = "".join(begun.stderr.readline() for _ in range(4))
+        finally:
+            begun.send_signal(signal.SIGTERM)
+        begun.communicate(timeout=PATIENCE)
+    for words in ("certificate of a1 expired on", "certificate of a2 expired on"):
+        assert words in said
+    assert said.count("no router answers yet") == 2
+    assert begun.returncode == ExitCode.OK
 
 
 def children_of(parent: int) -> list[int]:
