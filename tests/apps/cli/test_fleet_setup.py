@@ -203,13 +203,14 @@ def secured_site(tmp_path: Path, cli: CommandLine) -> Iterator[Secured]:
         yield made
 
 
+UP = "m100link fleet up fleet.toml &"
 HOWTO = Path(__file__).parents[3] / "docs/howto/fly-a-fleet.md"
 
 
 @pytest.mark.pty
 @needs_zenoh
 def test_somebody_new_brings_a_fleet_up_by_the_lines_of_the_page(tmp_path: Path) -> None:
-    """Two of the page's ten; then one agent dies, and then all are ended."""
+    """Two of the page's three; then one agent dies, and then all are ended."""
     page = HOWTO.read_text()
     text = re.search(r"```toml\n(.*?)```", page, re.DOTALL)
     blocks = re.findall(r"```sh\n(.*?)```", page, re.DOTALL)
@@ -217,7 +218,9 @@ def test_somebody_new_brings_a_fleet_up_by_the_lines_of_the_page(tmp_path: Path)
     small = re.sub(r"\[aircraft\.a([3-9]|10)\]\n", "", text[1]).replace("7447", str(free_port()))
     small = small.replace('identity = "anna"', f'identity = "anna"\nconsole_port = {free_port()}')
     (tmp_path / "fleet.toml").write_text(small)
-    lines = "".join(blocks[:2]).splitlines()
+    steps = "".join(blocks[1:5]).replace("# another terminal\nm100link fleet up fleet.toml", UP)
+    lines = steps.replace("m100link fleet land --all\n", "").splitlines()
+    assert UP in lines
     assert len(lines) < 8
     environment = os.environ | {"XDG_STATE_HOME": str(tmp_path)}
     here: dict[str, Any] = {"cwd": tmp_path, "text": True, "stdout": subprocess.PIPE}
