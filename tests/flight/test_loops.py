@@ -255,7 +255,7 @@ async def test_a_target_outside_the_envelope_is_refused_before_anything_moves(
         assert target in caught.value.seen
         ends, unit = ("allows", "m/s") if "speed" in target else ("ends at", "m")
         assert caught.value.seen.endswith(f"the envelope {ends} {caught.value.limit:g} {unit}")
-        assert option in caught.value.remedy
+        assert option in caught.value.off
         assert len(flown.moves) == 0
 
 
