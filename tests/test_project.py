@@ -184,7 +184,7 @@ def test_the_readme_of_a_package_has_no_link_into_a_clone(source: str) -> None:
         {"urls": {"Source": source}} if source else {}
     )
     hatch_build().Readme(str(ROOT), {}).update(metadata)
-    text = metadata["readme"]["text"]
+    text = " ".join(metadata["readme"]["text"].split())
     targets = re.findall(r"\]\(([^)]*)\)", text)
     assert all("://" in target for target in targets)
     assert metadata["readme"]["content-type"] == "text/markdown"
