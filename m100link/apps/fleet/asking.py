@@ -42,6 +42,7 @@ With a delay of 3 s in each direction an answer takes 6.5 s, and lost messages a
 """
 
 _AGAIN_S = 0.1
+_NEVER = (math.inf, -math.inf, "")
 
 Sign = Callable[[OrderMessage, str], OrderMessage]
 """Signs an order, with the proof of the lease of which it gets the secret; empty for none."""
@@ -71,8 +72,9 @@ class Asker:
         # Ids of those that are known to show its token, without asking anybody.
         sessions: Callable[[], Collection[str]] = frozenset,
         utc: Callable[[], float] = time.time,  # POSIX time, s
-        # By aircraft: since when its program, which took control, has heard of no STOP, s.
-        unstopped: dict[str, float] | None = None,
+        # By aircraft: since when its program, which took control, has heard of no STOP, s; what the
+        # agent's clock showed before then, s, and in which run.
+        unstopped: dict[str, tuple[float, float, str]] | None = None,
     ) -> None:
         self._unstopped = {} if unstopped is None else unstopped
         self._known = sessions
@@ -86,6 +88,7 @@ class Asker:
         # The agent's own clock by the event loop's, from every answer that says what it shows.
         self.its_clock = ClockEstimate()
         self.its_boot = ""  # the run of the agent that answered last
+        self._shown = -math.inf  # what its clock showed in the answers of that run at most, s
         # Clocks of several agents that answered; which is the aircraft is unknown.
         self.doubtful_clocks: list[float] = []
 
@@ -135,10 +138,9 @@ class Asker:
         if self._was_news(reply, order):
             order = self.around(asked, fence, token, self.its_time(asked_at), since=since)
             reply = await self._answered(key, order, within)
-        self._raised(reply)
-        if isinstance(asked, orders.Stop):
+        if isinstance(asked, orders.Stop) and reply.outcome is not Outcome.NOT_ALLOWED:
             self.hear_of_stop()
-        return reply
+        return self._raised(reply)
 
     def _was_news(self, reply: OrderReply, order: OrderMessage) -> bool:
         """Whether a refusal is the first to show the time there, by which the order is fresh.
@@ -149,11 +151,13 @@ class Asker:
 
     def unstopped_since(self) -> float:
         """Since when this program has heard of no STOP, s; from now on at the latest."""
-        return self._unstopped.setdefault(self.keys.name, self._clock())
+        return self._unstopped.setdefault(self.keys.name, (self._clock(), -math.inf, ""))[0]
 
     def hear_of_stop(self) -> None:
         """The program ordered it, or is refused for it: what it asks for next it means."""
-        self._unstopped[self.keys.name] = self._clock()
+        _, shown, boot = self._unstopped.get(self.keys.name, _NEVER)
+        shown = max(self._shown, shown) if boot == self.its_boot else self._shown
+        self._unstopped[self.keys.name] = self._clock(), shown, self.its_boot
 
     def _raised(self, reply: OrderReply) -> OrderReply:
         try:
@@ -242,10 +246,17 @@ class Asker:
         return reply, order
 
     def its_time(self, at: float) -> float:
-        """The earliest time that its clock may have shown at that time of ours, s; 0: unknown."""
+        """The earliest time that its clock may have shown at that time of ours, s; 0: unknown.
+
+        An answer to STOP shows a later time than the STOP. Orders after that answer are newer,
+        however slow the answers are by which the clock is estimated.
+        """
         now = self._clock()
         its = self.its_clock.at_least(now)
-        return its and its - max(0.0, now - at)
+        since, shown, boot = self._unstopped.get(self.keys.name, _NEVER)
+        if not its or at < since or boot != self.its_boot:
+            shown = -math.inf
+        return its and max(shown, its - max(0.0, now - at))
 
     def is_of_aircraft(self, answer: QueryAnswer) -> bool:
         """Whether it is proved, or comes from a session that shows the aircraft's token."""
@@ -263,7 +274,7 @@ class Asker:
     ) -> OrderMessage:
         """A new order, signed; see :meth:`ask`."""
         head = (identity or uuid.uuid4().hex, self.keys.site, self.keys.name, self._name)
-        clock = clock or self.its_clock.at_least(self._clock())
+        clock = clock or self.its_time(math.inf)
         made = OrderMessage(
             *head, fence, self._utc(), asked, clock, self.its_boot, since=since, key=key
         )
@@ -336,7 +347,9 @@ class Asker:
             raise
         if isinstance(found, OrderReply):
             self.its_clock.heard(asked_at, found.clock, self._clock())
-            self.its_boot = found.boot or self.its_boot
+            if found.boot not in ("", self.its_boot):
+                self.its_boot, self._shown = found.boot, -math.inf
+            self._shown = max(self._shown, found.clock)
         return found
 
 

@@ -103,12 +103,14 @@ class FleetAircraft:
         asker, clock = self.asker, asyncio.get_running_loop().time
         asker.doubtful_clocks, began_at, its = [], clock(), 0.0
         for left in reversed(range(_LANDINGS_ASKED)):
+            since = asker.its_time(began_at)
             try:
                 # A STOP since the first time ends it.
-                await asker.ask(Land(), since=asker.its_time(began_at), clock=its)
+                await asker.ask(Land(), since=since, clock=its)
             except GuardRefused as error:
-                # It was not begun, and the answer had the time there: that is known now.
-                if error.guard != ORDER_AGE or not left:
+                # It was not begun, and the answer had the time there: that is known now, or better.
+                is_better = asker.its_time(began_at) > since
+                if not left or not (error.guard == ORDER_AGE or is_better):
                     raise
                 its = asker.its_time(clock())
                 # Nobody knows which half of a round trip is the slow one. This program waits for

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import inspect
 from collections.abc import Awaitable, Callable
+from random import Random
 from typing import Any, cast
 from unittest.mock import AsyncMock, MagicMock, call
 
@@ -222,6 +223,39 @@ async def test_a_landing_that_is_asked_for_again_is_older_than_a_stop_since_the_
     assert await landing is Outcome.REFUSED
     await anyio.sleep(5.0)
     assert one.height > 1.0
+
+
+@pytest.mark.parametrize("seed", [7, 15, 44, 56])  # of those in which the estimate is wrong most
+async def test_what_is_asked_for_behind_the_answer_to_a_stop_is_newer_than_it(
+    rig: Rig, seed: int
+) -> None:
+    """However slow the answers are by which a program estimates the agent's clock."""
+    draw = Random(seed)
+    ahead = draw.uniform(0.0, 3000.0)  # the clock of the agent
+    one, pilot, other = await in_the_air(rig), await rig.pilot(), await rig.pilot("other")
+    for own in (one.agent, one.client):
+        own._clock = lambda: anyio.current_time() + ahead  # type: ignore[method-assign]
+    await anyio.sleep(2.0)
+    rig.network.weather = Weather(delay_s=draw.uniform(0.3, 1.0), jitter_s=draw.uniform(0.0, 1.0))
+    assert (await pilot.stop())["a1"].is_ok, seed
+    landing = asyncio.ensure_future(draw.choice([pilot, other]).land())
+    await anyio.sleep(draw.uniform(0.0, 0.3))  # no order has arrived by then
+    await one.agent.stop()
+    late = (await landing)["a1"].error
+    assert isinstance(late, GuardRefused), (seed, late)
+    assert late.guard == "stopped", (seed, late)
+    await anyio.sleep(1.0)
+    assert one.height > 1.0, seed
+
+    rig.network.weather = Weather(delay_s=draw.uniform(0.0, 0.3), jitter_s=draw.uniform(0.0, 1.5))
+    stopped = await pilot.stop()
+    assert stopped["a1"].is_ok, (seed, stopped)
+    if seed % 2:
+        async with pilot["a1"].control():
+            assert one.client.holder.number, seed
+    landed = await pilot.land()
+    assert landed["a1"].is_ok, (seed, landed)
+    assert one.height < 0.1, seed
 
 
 async def test_each_doubtful_agent_is_asked_to_land_as_of_the_time_of_the_first_order() -> None:
