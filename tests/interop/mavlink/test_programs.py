@@ -19,7 +19,7 @@ from typing import Any
 
 import pytest
 
-from tests.tutorials import Reader
+from tests.tutorials import Reader, blocks
 
 HERE = Path(__file__).parent
 FIRMWARES = ["1.0", "2.3", "3.1"]
@@ -194,6 +194,33 @@ def test_the_tutorial_flies_a_square(tmp_path: Path) -> None:
     port = str(free_port())
     bridge = f"mavlink sim:// --listen udp://127.0.0.1:0 --to udp://127.0.0.1:{port}"
     Reader(tmp_path, {"mavlink sim://": bridge, ":14540": f":{port}"}).follow("mavsdk")
+
+
+@pytest.mark.skipif(GRPC == "mavsdk", reason="it is written for mavsdk-grpc")
+@pytest.mark.parametrize("end", ["SIGKILL", "SIGTERM", "SIGINT", "exception"])
+def test_the_program_of_the_tutorial_fails_and_the_aircraft_stops(end: str, tmp_path: Path) -> None:
+    [text] = [one.text for one in blocks("mavsdk") if one.name == "square.py"]
+    leg = "await asyncio.sleep(3.0)"
+    text = text.replace(leg, "await asyncio.sleep(2.0); 1 / 0" if end == "exception" else leg)
+    text = text.replace(leg, "await asyncio.sleep(25.0)")
+    text = text.replace("50051", str(free_port(socket.SOCK_STREAM)))
+    program = tmp_path / "square.py"
+    with site("1.0") as found:
+        program.write_text(text.replace(":14540", f":{found.port}"))
+        # Ctrl-C reaches the process group, as on a terminal.
+        with started(str(program), start_new_session=True) as process:
+            found.until(lambda: found.truth()["north"] > 2.0)
+            if end != "exception":
+                os.killpg(process.pid, signal.Signals[end])
+            before = found.truth()
+            assert process.wait(PATIENCE) != 0
+            if end in ("SIGKILL", "SIGTERM"):
+                found.assert_hovers()
+            else:
+                found.until(lambda: found.truth()["flight_status"] == "standby")
+        after = found.truth()
+    flown = math.hypot(after["north"] - before["north"], after["east"] - before["east"])
+    assert flown < 8.0  # of 150 that a server of its own would fly
 
 
 # -- pymavlink ------------------------------------------------------------------------------------
