@@ -35,6 +35,7 @@ async def fly(aircraft: Aircraft) -> None:
     try:
         async with aircraft.control(stop="land", on_pause="wait") as control:
             await control.take_off()
+            await control.climb_to(4.0)
             print("flying north; now the pilot may move the switch out of F")
             await fly_north(control, 10)
             if control.is_paused:

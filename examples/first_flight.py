@@ -20,6 +20,7 @@ async def main(url: str) -> None:
         await aircraft.activate(CREDENTIALS)
         async with aircraft.control(stop="land") as control:
             await control.take_off()
+            await control.climb_to(4.0)
             print("in the air")
             async for tick in control.ticks(rate_hz=50):
                 if tick.elapsed >= 2.0:

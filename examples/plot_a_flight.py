@@ -27,6 +27,7 @@ async def main(url: str, place: str = ".") -> None:
         await aircraft.activate(m100link.Credentials(app_id=DEMO_APP_ID, key=DEMO_KEY))
         async with aircraft.control(stop="land") as control:
             await control.take_off()
+            await control.climb_to(4.0)
             for north, east, up in LEGS:
                 await control.fly_to(north=north, east=east, up=up)
             await control.land()

@@ -22,7 +22,7 @@ async def main(url: str, place: str = ".") -> None:
         await aircraft.activate(m100link.Credentials(app_id=DEMO_APP_ID, key=DEMO_KEY))
         async with aircraft.control(stop="land") as control:
             await control.take_off()
-            await control.fly_to(north=3.0, east=0.0, up=1.0)
+            await control.fly_to(north=3.0, east=0.0, up=3.0)
             await control.land()
 
     flight = read(recorder.path)

@@ -31,6 +31,7 @@ async def main(url: str) -> None:
         # However this block ends, the aircraft is landed and authority given back.
         async with aircraft.control(stop="land") as control:
             await control.take_off()
+            await control.climb_to(4.0)
             start = LocalFrame(*place(aircraft))
             corners: list[tuple[float, float]] = []
             # The loop is this task's own; late ticks are skipped and counted, never made up for.

@@ -24,6 +24,7 @@ def main(url: str) -> None:
         print(aircraft)
         with aircraft.control() as control:
             control.take_off(progress=show)
+            control.climb_to(4.0)
             for north, east in ((3.0, 0.0), (0.0, 3.0), (-3.0, -3.0)):
                 arrival = control.fly_to(north=north, east=east, up=0.0)
                 print(f"{north:+.0f} m north, {east:+.0f} m east: {arrival.elapsed:.1f} s")

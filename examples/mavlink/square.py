@@ -106,10 +106,24 @@ def virtual_aircraft() -> Iterator[str]:
 
 def fly(vehicle: Vehicle) -> None:
     vehicle.wait("HOME_POSITION")
+    vehicle.say("PARAM_SET", param_id="MIS_TAKEOFF_ALT", param_value=4.0, param_type=9)
+    vehicle.wait("PARAM_VALUE", param_id="MIS_TAKEOFF_ALT")
     vehicle.command(MavCommand.COMPONENT_ARM_DISARM, 1)
-    vehicle.command(MavCommand.NAV_TAKEOFF)
-    while vehicle.wait("GLOBAL_POSITION_INT")["relative_alt"] < 2000:  # mm
+    try:
+        square(vehicle)
+    finally:  # whatever happened
+        vehicle.command(MavCommand.NAV_LAND)
+    while vehicle.wait("HEARTBEAT")["base_mode"] & BaseMode.ARMED:
         pass
+    print("landed")
+
+
+def square(vehicle: Vehicle) -> None:
+    vehicle.command(MavCommand.NAV_TAKEOFF)
+    ends = time.monotonic() + PATIENCE
+    while vehicle.wait("GLOBAL_POSITION_INT")["relative_alt"] < 3500:  # mm
+        if time.monotonic() > ends:
+            raise SystemExit("the take-off takes too long")
     vehicle.fly(0.0, 0.0, 0.2)  # offboard begins only where there is something to fly
     vehicle.command(MavCommand.DO_SET_MODE, BaseMode.CUSTOM, *OFFBOARD)
     for number, (north, east) in enumerate(LEGS, 1):
@@ -117,10 +131,6 @@ def fly(vehicle: Vehicle) -> None:
         print("corner {}: {:5.1f} m north {:5.1f} m east".format(number, *vehicle.place()))
     print(f"back within {math.hypot(*vehicle.place()):.1f} m")
     vehicle.command(MavCommand.DO_SET_MODE, BaseMode.CUSTOM, *HOLD)
-    vehicle.command(MavCommand.NAV_LAND)
-    while vehicle.wait("HEARTBEAT")["base_mode"] & BaseMode.ARMED:
-        pass
-    print("landed")
 
 
 def main(url: str) -> None:

@@ -8,6 +8,7 @@ On the wire a node of ROS 2 is plain zenoh with CDR, which rosbags writes: pip i
 
 import contextlib
 import json
+import math
 import os
 import socket
 import struct
@@ -69,11 +70,11 @@ class Program:
             time.sleep(0.5)
         raise SystemExit(f"nobody offers {name}")
 
-    def steer(self, forward: float) -> None:
-        """m/s along the nose; it flies as long as this is repeated."""
+    def steer(self, forward: float, up: float) -> None:
+        """m/s along the nose and up; it flies as long as this is repeated."""
         kind = "geometry_msgs/msg/TwistStamped"
         vector, stamp = types["geometry_msgs/msg/Vector3"], types["builtin_interfaces/msg/Time"]
-        twist = types["geometry_msgs/msg/Twist"](vector(forward, 0.0, 0.0), vector(0.0, 0.0, 0.0))
+        twist = types["geometry_msgs/msg/Twist"](vector(forward, 0.0, up), vector(0.0, 0.0, 0.0))
         header = types["std_msgs/msg/Header"](stamp(0, 0), "base_link")
         data = bytes(store.serialize_cdr(types[kind](header, twist), kind))
         key = f"{DOMAIN}/{NODE}/cmd_vel/geometry_msgs::msg::dds_::TwistStamped_"
@@ -91,15 +92,21 @@ class Program:
 def fly(program: Program) -> None:
     program.call("obtain_control")
     program.call("takeoff")
-    x, y, _ = program.place()
-    flown, ends = 0.0, time.monotonic() + PATIENCE
-    while flown < 5.0 and time.monotonic() < ends:
-        program.steer(1.5)  # not flown before the take-off has ended
-        time.sleep(0.05)
-        east, north, _ = program.place()
-        flown = ((east - x) ** 2 + (north - y) ** 2) ** 0.5
-    print(f"{flown:.1f} m flown")
-    program.call("land")
+    try:
+        ends = time.monotonic() + PATIENCE
+        while program.place()[2] < 4.0 and time.monotonic() < ends:
+            program.steer(0.0, 1.0)  # not flown before the take-off has ended
+            time.sleep(0.05)
+        x, y, _ = program.place()
+        flown = 0.0
+        while flown < 5.0 and time.monotonic() < ends:
+            program.steer(1.5, 0.0)
+            time.sleep(0.05)
+            east, north, _ = program.place()
+            flown = math.hypot(east - x, north - y)
+        print(f"{flown:.1f} m flown")
+    finally:  # whatever happened
+        program.call("land")
     while program.place()[2] > 0.3:
         pass
     print("landed")
