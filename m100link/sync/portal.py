@@ -16,6 +16,7 @@ from typing import Any, Concatenate, Generic, ParamSpec, Self, TypeVar, get_type
 
 from m100link.errors import LinkClosed, M100Error, UsageError
 from m100link.sim.clock import LockstepEventLoop
+from m100link.sync.signals import SIGNALS
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -204,6 +205,7 @@ class Portal:
         self._waiting.add(caller)
         try:
             self._require_open()
+            SIGNALS.take_again()
             self._schedule(function)
             return caller.serve()
         finally:

@@ -85,6 +85,11 @@ class SyncSignals(OtherWatch):
             self._aircraft = [other for other in self._aircraft if other is not aircraft]
         self._put_back()
 
+    def take_again(self) -> None:
+        """Take what was put back meanwhile: a notebook does so with SIGINT behind every cell."""
+        if self._aircraft and threading.current_thread() is threading.main_thread():
+            self._take()
+
     def join(self, block: Flying) -> None:
         """Interrupt that block when a signal comes."""
         with self._changes:

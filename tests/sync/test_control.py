@@ -26,6 +26,7 @@ from m100link import (
     MissionProgress,
     MissionRunning,
     NoAuthority,
+    Position,
     Reached,
     Setpoint,
     TaskProgress,
@@ -37,6 +38,7 @@ from m100link import (
     sync,
 )
 from m100link.flight.authority import AuthorityInput
+from m100link.flight.stop_path import StopAction
 from tests.flight.foreign_aircraft import APP_ID, KEY, ForeignAircraft, foreign_aircraft
 from tests.flight.missions.foreign import plan
 from tests.waiting import PATIENCE
@@ -155,6 +157,34 @@ def test_a_signal_in_the_middle_of_a_call_takes_the_stop_path(
     assert signal.getsignal(number) == before
 
 
+@pytest.mark.parametrize(("stop", "height"), [("land", 0.0), ("hover", 5.0)])
+def test_an_interrupt_in_a_later_cell_takes_the_stop_path(
+    connect: Connect, stop: StopAction, height: float
+) -> None:
+    """ipykernel ignores SIGINT between two cells, and gives each one Python's own handler."""
+    before = signal.getsignal(signal.SIGINT)
+    aircraft = activated(connect)
+    control = aircraft.control(stop=stop).obtain()
+    control.take_off()
+    control.climb_to(5.0)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+
+    def progress(_: object) -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+
+    with pytest.raises(KeyboardInterrupt):
+        control.fly_to(north=40.0, east=0.0, up=0.0, progress=progress)
+    aircraft.collect(Position, seconds=20.0)
+    assert control.is_over
+    assert aircraft.authority.state is AuthorityState.NONE
+    reached = aircraft.state.get(Position)
+    assert reached is not None
+    assert reached.height_m == pytest.approx(height, abs=0.5)
+    aircraft.close()
+    assert signal.getsignal(signal.SIGINT) == before
+
+
 def test_control_by_hand_at_a_prompt(connect: Connect) -> None:
     aircraft = activated(connect)
     control = aircraft.control().obtain()
@@ -265,7 +295,8 @@ def test_no_lock_written_in_python_is_taken_by_the_thread_that_waits(connect: Co
             control.take_off()
     assert ("portal.py", "wait") in alarm.called
     locks = {name for file, name in alarm.called if file in ("threading.py", "_base.py")}
-    assert locks <= {"current_thread", "RLock"}  # makes one, such as for an import, and takes none
+    # RLock makes one, such as for an import, and takes none.
+    assert locks <= {"current_thread", "main_thread", "RLock"}
 
 
 # -- a mission: the same events, the same stop -----------------------------------------------------
