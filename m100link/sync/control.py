@@ -304,21 +304,9 @@ class Control(Handed):
         finally:
             SIGNALS.leave(self)
 
-    @property
-    def is_flying(self) -> bool:
-        """Whether control was asked for, and nothing has ended it."""
-        return bool(self._aio.is_flying)
-
-    @property
-    def is_stopping(self) -> bool:
-        """Whether its stop path runs."""
-        return bool(self._aio.is_stopping)
-
-    @property
-    def is_over(self) -> bool:
-        """Whether the stop path has ended."""
-        return bool(self._aio.is_over)
-
+    is_flying = Reads[bool](aio.Control.is_flying)
+    is_stopping = Reads[bool](aio.Control.is_stopping)
+    is_over = Reads[bool](aio.Control.is_over)
     has_guardian = Reads[bool](aio.Control.has_guardian)
 
     def interrupt(self) -> None:
@@ -367,11 +355,7 @@ class Control(Handed):
         Raises:
             NoAuthority, GuardRefused, BadSetpoint, UsageError: See :meth:`send`.
         """
-        how = {
-            "rate_hz": rate_hz,
-            "lifetime": lifetime,
-            "allow_long_lifetime": allow_long_lifetime,
-        }
+        how = {"rate_hz": rate_hz, "lifetime": lifetime, "allow_long_lifetime": allow_long_lifetime}
         self._portal.wait(
             lambda caller: self._aio.follow(_asked(caller, source, self._aio.ticks(rate_hz)), **how)
         )
