@@ -9,9 +9,10 @@ import os
 import queue
 import re
 import threading
+from collections import deque
 from collections.abc import Callable, Coroutine
 from contextlib import suppress
-from functools import partial, update_wrapper
+from functools import update_wrapper
 from typing import Any, Concatenate, Generic, ParamSpec, Self, TypeVar, get_type_hints, overload
 
 from m100link.errors import LinkClosed, M100Error, UsageError
@@ -56,8 +57,17 @@ class Caller:
         return method(*args, **kwargs)
 
     def callback(self, function: Callable[[T], None]) -> Callable[[T], None]:
-        """``function``, to be called by the event loop and run here."""
-        return lambda value: self._inbox.put(partial(function, value))
+        """``function``, to be called by the event loop and run here.
+
+        A slow one gets the newest value alone; on a virtual clock it gets each, however late.
+        """
+        values: deque[T] = deque(maxlen=1 if self._clock is None else None)
+
+        def hand_over(value: T) -> None:
+            values.append(value)
+            self._inbox.put(lambda: function(values.popleft()) if values else None)
+
+        return hand_over
 
     async def ask(self, function: Callable[[T], R], value: T) -> R:
         """Run ``function`` here, and return what it returns."""

@@ -11,6 +11,7 @@ from typing import Any, cast
 import pytest
 
 from m100link import LinkClosed, M100Error, UsageError
+from m100link.sim import LockstepEventLoop
 from m100link.sync.portal import Caller, Portal
 from tests.waiting import PATIENCE
 
@@ -40,7 +41,8 @@ def test_what_a_call_raises_comes_out(portal: Portal) -> None:
     assert portal.call(int, "7") == 7
 
 
-def test_callbacks_run_in_the_thread_that_waits(portal: Portal) -> None:
+def test_callbacks_run_in_the_thread_that_waits() -> None:
+    portal = Portal(LockstepEventLoop)
     heard: list[tuple[int, int]] = []
 
     def hear(number: int) -> None:
@@ -54,6 +56,25 @@ def test_callbacks_run_in_the_thread_that_waits(portal: Portal) -> None:
     assert portal.wait(lambda caller: caller.begin(count, 3, progress=hear)) == "done"
     assert portal.wait(lambda caller: caller.begin(count, 3, progress=None)) == "done"
     assert heard == [(number, threading.get_ident()) for number in range(3)]
+    portal.close()
+
+
+def test_a_slow_callback_gets_the_newest_value_alone(portal: Portal) -> None:
+    begun, told, heard = threading.Event(), threading.Event(), list[int]()
+
+    def hear(number: int) -> None:
+        heard.append(number)
+        begun.set()
+        assert told.wait(PATIENCE)
+
+    async def count(progress: Callable[[int], None]) -> None:
+        for number in range(1000):
+            progress(number)
+            assert begun.wait(PATIENCE)
+        told.set()
+
+    portal.wait(lambda caller: caller.begin(count, progress=hear))
+    assert heard == [0, 999]
 
 
 def test_a_question_is_answered_by_the_thread_that_waits(portal: Portal) -> None:
