@@ -386,9 +386,10 @@ def fly_show(
     """Let the aircraft of a fleet fly a show: either all begin, or none.
 
     The command checks the show first. An aircraft that has to leave its track hovers or lands by
-    itself; the command names it, and the others fly on. After Ctrl-C before the beginning all leave
-    and hover. After Ctrl-C later they fly on: m100link fleet stop --all stops them. The exit status
-    is 0 if all flew to the end and landed, where they were to.
+    itself; the command names it, and the others fly on. After Ctrl-C before the beginning, or
+    when one cannot begin, all leave: they hover or land. After Ctrl-C later they fly on: m100link
+    fleet stop --all stops them. The exit status is 0 if all flew to the end and landed, where they
+    were to.
 
     Args:
         leave: Action of each aircraft after its track, and when it has to leave: hover or land.

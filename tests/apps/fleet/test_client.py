@@ -234,7 +234,7 @@ async def test_what_is_asked_for_behind_the_answer_to_a_stop_is_newer_than_it(
     ahead = draw.uniform(0.0, 3000.0)  # the clock of the agent
     one, pilot, other = await in_the_air(rig), await rig.pilot(), await rig.pilot("other")
     for own in (one.agent, one.client):
-        own._clock = lambda: anyio.current_time() + ahead  # type: ignore[method-assign]
+        own._clock = lambda: anyio.current_time() + ahead
     await anyio.sleep(2.0)
     rig.network.weather = Weather(delay_s=draw.uniform(0.3, 1.0), jitter_s=draw.uniform(0.0, 1.0))
     assert (await pilot.stop())["a1"].is_ok, seed

@@ -85,6 +85,7 @@ class Conductor:
         # It also names the show: a place that was recorded when it was flown before is of another.
         self._run = uuid.uuid4().hex
         self._tell = tell
+        self._up: set[str] = set()  # those that were asked to take off
         self._clock = asyncio.get_running_loop().time
         self._began_at = self._clock()  # a STOP since then overtakes each step
 
@@ -95,7 +96,8 @@ class Conductor:
             How it ended for each: ``FLOWN``, ``LEFT``, or None for one that fell silent.
 
         Raises:
-            M100Error: One of them could not begin. None has begun, and all that flew hover.
+            M100Error: One of them could not begin. None has begun; all that flew hover or land, as
+                ``leave`` says.
         """
         self._began_at = self._clock()
         attending = asyncio.create_task(self._attend(), name="m100link: conductor of a show")
@@ -124,22 +126,28 @@ class Conductor:
             await asyncio.gather(*asked, return_exceptions=True)
 
     async def leave(self) -> None:
-        """Let all of them leave, at any stage, and name those that did not confirm it."""
+        """Let all of them leave, at any stage; name those that fly, or did not confirm it."""
 
         async def leave(track: TimedTrack) -> None:
             try:
                 await self._ask(track, payloads.LeaveShow(self._run))
+                if track.name in self._up:
+                    left.append(track.name)
             except M100Error as error:
                 self._tell(f"{track.name} did not confirm that it leaves: {error.seen}")
 
+        left: list[str] = []
         await asyncio.gather(*map(leave, self._tracks.values()), return_exceptions=True)
+        if left:
+            does = "land" if self._leave == "land" else "hover, and nobody has control of them"
+            self._tell(f"{', '.join(sorted(left))} were to take off: those in the air {does}")
 
     async def _each(self, do: Callable[[TimedTrack], Any]) -> list[Any]:
-        """Something with each at once; the first that fails is raised when all have ended."""
-        found = await asyncio.gather(
-            *(do(track) for track in self._tracks.values()), return_exceptions=True
-        )
-        for one in found:
+        """Something with each at once; the first that fails is named, and raised behind all."""
+        found = await asyncio.gather(*map(do, self._tracks.values()), return_exceptions=True)
+        for name, one in zip(self._tracks, found, strict=True):
+            if isinstance(one, M100Error) and name not in one.seen:
+                one.seen = f"{name}: {one.seen}"
             if isinstance(one, BaseException):
                 raise one
         return found
@@ -196,6 +204,7 @@ class Conductor:
             )
 
     async def _place(self, track: TimedTrack) -> None:
+        self._up.add(track.name)
         await self._do(
             track,
             payloads.TakePlace(self._run),

@@ -169,7 +169,7 @@ class ShowService:
             case payloads.StartShow():
                 performer.start(asked.digest, asked.at, asked.bound)
             case payloads.LeaveShow():
-                performer.leave()
+                performer.end_early()
 
     def _take_piece(self, at: int, data: bytes) -> None:
         """A track comes in pieces: from the beginning, and each where the one before ended."""

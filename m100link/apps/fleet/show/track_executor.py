@@ -166,7 +166,8 @@ class TrackExecutor:
         Returns its digest, for the sender to compare. ``leave``: what follows the track, or its
         early end. ``neighbours``: the others of the show; None: they are not looked at. ``run``: of
         the conductor; until it is over, orders of others are refused. Raises BadShow: it is none,
-        or another aircraft's. Raises UsageError: it is in a show.
+        or another aircraft's. Raises UsageError: it is in a show. Raises ShowRefused, GuardRefused:
+        as :meth:`place`, which none is asked for before all are loaded.
         """
         self._require(LoadTrack, "load")
         track = TimedTrack.from_bytes(data)
@@ -178,6 +179,7 @@ class TrackExecutor:
             )
         if leave not in ("hover", "land"):
             raise UsageError(f"leave cannot be {leave!r}", remedy="hover or land")
+        self._require_flyable(track)
         self.track, self._leave, self.fault = track, leave, None
         self.neighbours, self._rest = neighbours, conflicts.RestOfTrack(track)
         self._start_at, self.run = None, run
@@ -191,15 +193,7 @@ class TrackExecutor:
         Raises ShowRefused, GuardRefused: the guards of its agent would end its track.
         """
         self._require(TakePlace, "place")
-        track, client = self._loaded(), self._client
-        TrackSteering(track, self._fastest).require_fast_enough()
-        first = track.points[0]
-        highest = max(track.points, key=lambda one: one.height)
-        farthest = max(
-            track.points, key=lambda one: math.hypot(one.north - first.north, one.east - first.east)
-        )
-        legs = (self._flight_to(track, one) for one in (first, highest, farthest))
-        require_inside(legs, client.view.telemetry, client.state.limits)
+        self._require_flyable(self._loaded())
         self.heard()
         self.stage, self._placed_at = ShowStage.PLACING, asked_at
         self._do(lambda: self._place(who, asked_at))
@@ -219,6 +213,15 @@ class TrackExecutor:
         steering.require_ready(start_at - self._client.now, bound, self._here(track))
         self.stage, self._start_at = ShowStage.FLYING, start_at
         self._do(lambda: self._fly(track, steering, start_at, bound))
+
+    def end_early(self) -> None:
+        """End it for its conductor: it hovers or lands, as chosen."""
+        if self.stage in _BUSY and self._leave == "land" and self._control.has_control:
+            self.ages.revoke(self._client.now)
+            self.stage = ShowStage.LEFT
+            self._do(self._end)
+        else:
+            self.leave()
 
     def leave(self) -> None:
         """End it, wherever it is: control is given back, and it hovers.
@@ -270,6 +273,16 @@ class TrackExecutor:
         """The most that may be asked for horizontally, m/s: what the agent's guards let pass."""
         most = self._client.state.limits.max_speed_m_s
         return min(MAX_COMMAND_M_S, MAX_COMMAND_M_S if most is None else most) * (1 - 1e-6)
+
+    def _require_flyable(self, track: TimedTrack) -> None:
+        client, first = self._client, track.points[0]
+        TrackSteering(track, self._fastest).require_fast_enough()
+        highest = max(track.points, key=lambda one: one.height)
+        farthest = max(
+            track.points, key=lambda one: math.hypot(one.north - first.north, one.east - first.east)
+        )
+        legs = (self._flight_to(track, one) for one in (first, highest, farthest))
+        require_inside(legs, client.view.telemetry, client.state.limits)
 
     def _loaded(self) -> TimedTrack:
         assert self.track is not None, "every stage from LOADED on has one"

@@ -224,15 +224,15 @@ async def test_one_that_has_to_leave_is_named_and_the_others_fly_on(rig: Rig) ->
 
 
 async def test_all_are_ready_or_none_begins(rig: Rig) -> None:
-    """One has a low battery: it refuses to take off, and the others leave and hover."""
+    """One has a low battery: it refuses to take off, and the others leave and land."""
     async with company(rig, 3) as made:
         made.on_board[1].aircraft.battery_percent = 10.0
         with pytest.raises((ShowRefused, GuardRefused), match=r"a2|battery"):
             await made.conductor().fly()
-        await anyio.sleep(3.0)
+        await anyio.sleep(15.0)
         assert made.on_board[1].height == 0
         for one in (made.on_board[0], made.on_board[2]):
-            assert one.speed < 0.1
+            assert one.height < 0.1
             assert one.client.holder.number == 0
         assert not any("begins in" in text for text in made.told)
 
@@ -278,8 +278,8 @@ async def test_a_conductor_that_is_ended_lets_all_of_them_leave(rig: Rig, when: 
             await anyio.sleep(6.0)
         conducting.cancel()
         await asyncio.gather(conducting, return_exceptions=True)
-        await anyio.sleep(3.0)
-        assert all(one.speed < 0.1 for one in made.on_board)
+        await anyio.sleep(15.0)
+        assert all(one.height < 0.1 for one in made.on_board)
         assert all(one.client.holder.number == 0 for one in made.on_board)
         assert {one.performer.stage for one in made.performing} == {ShowStage.LEFT}
 
@@ -463,9 +463,28 @@ async def test_a_track_that_the_guards_on_board_do_not_let_fly_is_not_begun(rig:
         slow = Guards(envelope=Envelope(max_speed_m_s=1.0))
         made.on_board[1].agent.holding._guards = slow
         await anyio.sleep(1.0)
-        with pytest.raises(M100Error, match=r"its guards allow 1\.0 m/s"):
+        with pytest.raises(M100Error, match=r"a2.*its guards allow 1\.0 m/s"):
             await made.conductor().fly()
-        assert made.on_board[1].height == 0
+        await anyio.sleep(3.0)
+        assert [one.height for one in made.on_board] == [0, 0], "none takes off before all compared"
+        assert made.told == []
+
+
+@pytest.mark.parametrize("leave", ["hover", "land"])
+async def test_what_has_taken_off_hovers_or_lands_where_another_cannot_begin(
+    rig: Rig, leave: Leave
+) -> None:
+    """As its --leave says, and the conductor names it."""
+    async with company(rig, 3) as made:
+        made.on_board[2].aircraft.battery_percent = 10.0
+        with pytest.raises(M100Error, match="a3"):
+            await made.conductor(leave=leave).fly()
+        does = {"hover": "hover, and nobody has control of them", "land": "land"}[leave]
+        assert f"a1, a2, a3 were to take off: those in the air {does}" in made.told
+        await anyio.sleep(10.0)
+        heights = [one.height for one in made.on_board]
+        assert [height > 0.5 for height in heights] == [leave == "hover"] * 2 + [False], heights
+        assert all(one.client.holder.number == 0 for one in made.on_board)
 
 
 def all_are(made: Company, stage: ShowStage) -> Callable[[], bool]:
