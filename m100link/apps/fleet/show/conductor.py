@@ -86,6 +86,7 @@ class Conductor:
         self._run = uuid.uuid4().hex
         self._tell = tell
         self._up: set[str] = set()  # those that were asked to take off
+        self._flying = set(self._tracks)  # those of which no end is known
         self._clock = asyncio.get_running_loop().time
         self._began_at = self._clock()  # a STOP since then overtakes each step
 
@@ -243,6 +244,10 @@ class Conductor:
         start = payloads.StartShow(self._run, track.digest, start_at + found.seconds, found.bound)
         await self._do(track, start, payloads.ShowStage.FLYING)
 
+    def _rest(self, name: str) -> str:
+        self._flying.discard(name)
+        return "; the others fly on" if self._flying else ""
+
     async def _watch(self, track: TimedTrack) -> Part:
         """Until it has flown its track and landed, if it is to, has left, or is silent."""
         heard_at = self._clock()
@@ -255,17 +260,18 @@ class Conductor:
                     # One that answers and tells nothing flies on: that is no cable.
                     why = "" if isinstance(error, Unreachable) else error.seen
                     refuses = f"reports nothing more: {why}" if why else "is silent"
-                    self._tell(f"{track.name} {refuses}; the others fly on")
+                    self._tell(f"{track.name} {refuses}{self._rest(track.name)}")
                     return Part(track.name, None, why=why)
                 await asyncio.sleep(_LOOK_S)
                 continue
             if part.stage is payloads.ShowStage.FLOWN:
                 why = part.why and f", and did not land: {part.why}"
+                self._rest(track.name)
                 self._tell(f"{track.name} has flown its track{why}")
                 return part
             if part.stage is not payloads.ShowStage.FLYING:
                 why = part.why and f": {part.why}"  # none where it was ordered to leave
-                self._tell(f"{track.name} left{why}; the others fly on")
+                self._tell(f"{track.name} left{why}{self._rest(track.name)}")
                 return part
             await asyncio.sleep(_LOOK_S)
 

@@ -618,6 +618,7 @@ async def test_one_that_tells_nothing_for_five_seconds_is_silent(silent: float) 
     else:
         assert part == Part("a1", None)
         assert one.told == ["a1 is silent; the others fly on"]
+        assert one.conductor._rest("a2") == "", "none is left that flies"
         assert 14.9 <= one.now < 16.0
 
 
