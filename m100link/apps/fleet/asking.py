@@ -48,9 +48,10 @@ Sign = Callable[[OrderMessage, str], OrderMessage]
 """Signs an order, with the proof of the lease of which it gets the secret; empty for none."""
 
 
-def nobody_there(name: str) -> errors.Unreachable:
+def nobody_there(keys: Keys) -> errors.Unreachable:
+    named = "" if keys.name == "*" else f" named {keys.name}"
     return errors.Unreachable(
-        f"no agent named {name} is there; nothing was sent",
+        f"no agent{named} is there at site {keys.site}; nothing was sent",
         remedy="m100link fleet list shows the aircraft that are present",
     )
 
@@ -130,7 +131,7 @@ class Asker:
         """
         asked_at = self._clock()
         if not await self.is_there():
-            raise nobody_there(self.keys.name)
+            raise nobody_there(self.keys)
         order = self.around(asked, fence, token, clock, identity, since)
         key = self.keys.lease if isinstance(asked, orders.LeaseOrder) else self.keys.command
         within = self.patience if patience is None else patience
@@ -181,7 +182,7 @@ class Asker:
         Returns the lease, and the agent's time in its answer, s. Raises: as :meth:`ask`.
         """
         if not await self.is_there():
-            raise nobody_there(self.keys.name)
+            raise nobody_there(self.keys)
         reply = self._raised(await self._answered(self.keys.lease, request.order, self.patience))
         return request.lease(reply), reply.clock
 

@@ -182,7 +182,7 @@ class FleetAircraft:
             Unreachable, OutcomeUnknown: Its agent is absent, or gives no answer.
         """
         if not await self.asker.is_there():
-            raise nobody_there(self.name)
+            raise nobody_there(self.keys)
         return await mission_card(self.asker, patience=self.asker.patience)
 
     async def card(self) -> Card:
@@ -366,8 +366,13 @@ class Fleet:
 
         Returns:
             A result for every name.
+
+        Raises:
+            Unreachable: No names were given, and no agent is present at this site.
         """
         wanted = list(dict.fromkeys(await self.names() if names is None else names))
+        if names is None and not wanted:
+            raise nobody_there(self.keys)
 
         async def one(name: str) -> Result:
             try:

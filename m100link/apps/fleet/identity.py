@@ -39,8 +39,8 @@ from m100link.protocol.firmware import PROFILES
 #     [aircraft.a1]
 #     url = "/dev/ttyUSB0"
 #     [identity.anna]
-#     fly = ["a1", "b*"]             # who may fly may stop and watch, too
-#     stop = ["*"]                   # who may stop may watch
+#     fly = ["a1", "b*"]             # who may fly may stop, land and watch, too
+#     stop = ["*"]                   # stop, hover and land; who may stop may watch
 
 
 PKI = "pki"

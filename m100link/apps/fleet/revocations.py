@@ -376,7 +376,7 @@ async def in_force(bus: Bus, keys: Keys, data: bytes = b"") -> OrderReply:
         if reply is not None:
             return reply
     if not sessions:
-        raise nobody_there(keys.name)
+        raise nobody_there(keys)
     raise OutcomeUnknown(
         f"{keys.name} does not say which list of revoked names it has",
         cause="its agent has no fleet file or an older release, the link is cut, or the "

@@ -71,6 +71,15 @@ async def test_each_method_of_an_aircraft_gives_its_order(
             asked.clear()
 
 
+async def test_a_stop_of_all_reports_that_nobody_is_there(rig: Rig) -> None:
+    await rig.aircraft("a1")
+    fleet = Fleet(rig.network.session(), site="hangar", utc=rig.utc)
+    for ask in (fleet.stop, fleet.land):
+        with pytest.raises(Unreachable, match="no agent is there at site hangar; nothing was sent"):
+            await ask()
+    assert "no agent named a1 is there at site hangar" in str((await fleet.stop(["a1"]))["a1"])
+
+
 async def test_a_name_that_is_not_there_is_unreachable(rig: Rig) -> None:
     results = await (await rig.pilot()).land(["a7"])
     assert results["a7"].outcome is Outcome.UNREACHABLE

@@ -155,7 +155,7 @@ class LogFetcher:
         name = self._keys.name
         # An agent that has answered may come back, with the router or by a restart.
         if not self._has_answered and not await self._asker.is_there():
-            raise nobody_there(name)
+            raise nobody_there(self._keys)
         silent_since = self._clock()
         unread: MessageError | None = None
         while self._clock() - silent_since < PATIENCE_S:
