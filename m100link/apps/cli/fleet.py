@@ -187,8 +187,8 @@ class FleetOptions:
             site=self.place,
             name=self.who,
             sign=self.sign(),
-            authority=None if identity is None else Revocations.of_folder(pki),
-            options={} if identity is None else tls_options(pki, identity),
+            authority=None if not identity else Revocations.of_folder(pki),
+            options={} if not identity else tls_options(pki, identity),
             patience=self.patience,
         )
 
@@ -205,7 +205,7 @@ class FleetOptions:
 
     def sign(self) -> Sign | None:
         """The signer of orders; None without an identity."""
-        if self.identity is None:
+        if not self.identity:
             return None
         return signing(read_signer(self.folder, self.identity))
 
@@ -244,7 +244,7 @@ async def results_of(
     """Do something with each aircraft that is named, or that is there."""
     wanted = wanted_names(names, everybody)
     async with options.open() as fleet:
-        return await fleet.each(do, wanted)
+        return await fleet.each(do, await fleet.names() if wanted is None else wanted)
 
 
 def say(*lines: str, to: Console = out) -> None:

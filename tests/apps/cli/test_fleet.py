@@ -21,8 +21,10 @@ import anyio.to_thread
 import pytest
 
 from m100link.apps.bus.network import Question
+from m100link.apps.cli import fleet as fleet_commands
 from m100link.apps.cli.fleet import (
     NO_OPTIONS,
+    FleetOptions,
     Left,
     reported_when_interrupted,
     tell_results,
@@ -179,6 +181,14 @@ def test_without_a_router_it_is_said_what_to_do(tmp_path: Path) -> None:
 def test_a_command_without_names_asks_for_them(site: Site) -> None:
     assert site.ask("takeoff")[0] == 2
     assert site.ask("land", "a1", "--all")[0] == 2
+
+
+def test_an_empty_identity_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As of an unset variable of the environment."""
+    given: dict[str, Any] = {}
+    monkeypatch.setattr(fleet_commands, "connect", lambda *_, **how: given.update(how))
+    FleetOptions(identity="").open()
+    assert (given["sign"], given["authority"], given["options"]) == (None, None, {})
 
 
 def test_results_are_reported_with_reason_and_remedy(
