@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import codecs
 import contextlib
+import functools
 import importlib.util
 import io
 import json
@@ -281,8 +282,11 @@ def complain(error: BaseException) -> int:
 
 
 def print_json(value: Any) -> None:
-    """One JSON object on one line of standard output."""
-    sys.stdout.write(json.dumps(finite(value), allow_nan=False, default=str) + "\n")
+    """One JSON object on one line of standard output; in ASCII where a sign would not print."""
+    dump = functools.partial(json.dumps, finite(value), allow_nan=False, default=str)
+    text = dump(ensure_ascii=False)
+    fits = text.isprintable() and sys.stdout.encoding == "utf-8"
+    sys.stdout.write((text if fits else dump()) + "\n")
     sys.stdout.flush()
 
 

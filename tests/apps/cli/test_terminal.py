@@ -347,6 +347,23 @@ def test_what_is_reported_otherwise_is_what_the_library_says(written: str) -> No
     assert written in said
 
 
+@pytest.mark.parametrize(
+    ("encoding", "text", "written"),
+    [
+        ("utf-8", "20 m/s … 30°", '{"text": "20 m/s … 30°"}'),
+        ("utf-8", "… \x9b2J\u202e", r'{"text": "\u2026 \u009b2J\u202e"}'),  # orders of a terminal
+        ("cp1252", "20 m/s …", r'{"text": "20 m/s \u2026"}'),  # JSON is UTF-8
+    ],
+)
+def test_json_is_plain_text_where_each_sign_prints(
+    encoding: str, text: str, written: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    raw = io.BytesIO()
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(raw, encoding=encoding))
+    print_json({"text": text})
+    assert raw.getvalue().decode(encoding).strip() == written
+
+
 def test_json_has_no_number_that_json_does_not_know(capsys: pytest.CaptureFixture[str]) -> None:
     print_json({"a": float("nan"), "b": [float("-inf"), 1.5], "c": {"d": (float("inf"),)}})
     told = json.loads(capsys.readouterr().out)
