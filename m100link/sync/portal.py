@@ -57,10 +57,7 @@ class Caller:
         return method(*args, **kwargs)
 
     def callback(self, function: Callable[[T], None]) -> Callable[[T], None]:
-        """``function``, to be called by the event loop and run here.
-
-        A slow one gets the newest value alone; on a virtual clock it gets each, however late.
-        """
+        """For the loop, run here: a slow one gets the newest value, in lockstep all of them."""
         values: deque[T] = deque(maxlen=1 if self._clock is None else None)
 
         def hand_over(value: T) -> None:
