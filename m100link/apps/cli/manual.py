@@ -24,7 +24,7 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 from rich.console import Console
-from rich.markdown import Markdown
+from rich.markdown import Markdown, TableElement
 from rich.table import Table
 from rich.text import Text
 
@@ -39,6 +39,18 @@ from m100link.errors import M100Error, UsageError
 _FOLDERS = ("tutorial", "howto", "explanation", "reference")
 _CONTENTS = re.compile(r"^# (.+)|^## (.+)|\(([\w-]+)\.md\)", re.MULTILINE)  # of an index
 _WIDEST = 100  # longer lines are hard to read
+
+
+class _Table(TableElement):
+    """A table that cuts no word: columns of single words, such as types, keep their width."""
+
+    def __rich_console__(self, *given: Any) -> Iterator[Table]:
+        for table in super().__rich_console__(*given):
+            assert isinstance(table, Table)
+            for one in table.columns:
+                one.no_wrap = not any(" " in str(cell) for cell in one.cells)
+                one.overflow = "fold"
+            yield table
 
 
 @dataclass(frozen=True)
@@ -62,7 +74,9 @@ class _Page:
         """The page as it is read, in lines of this width."""
         to = io.StringIO()
         console = Console(file=to, width=width, force_terminal=in_colour, no_color=not in_colour)
-        console.print(Markdown(_plain(self.text, self.path.parents[1]), hyperlinks=False))
+        page = Markdown(_plain(self.text, self.path.parents[1]), hyperlinks=False)
+        page.elements = {**page.elements, "table_open": _Table}  # type: ignore[misc] # this page alone
+        console.print(page)
         return "\n".join(line.rstrip() for line in to.getvalue().splitlines()) + "\n"
 
 
@@ -122,8 +136,8 @@ def _page_of(pages: list[_Page], topic: str) -> _Page:
     for page in pages:
         if page.topic == wanted:
             return page
-    near = get_close_matches(wanted, [page.topic for page in pages], n=3)
-    near += [page.topic for page in pages if wanted in page.title.lower()]
+    near = [page.topic for page in pages if wanted in f"{page.topic} {page.title.lower()}"]
+    near += get_close_matches(wanted, [page.topic for page in pages], n=3)
     raise UsageError(
         f"no page of the manual is called {topic!r}",
         remedy=f"did you mean {' or '.join(dict.fromkeys(near))}?"

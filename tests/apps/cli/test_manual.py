@@ -16,6 +16,8 @@ from m100link.apps.cli.app import VERBS
 from m100link.apps.cli.configuration import read_configuration
 from m100link.apps.cli.manual import _EXAMPLE, _Page, _pages, _plain
 from m100link.apps.cli.terminal import ExitCode
+from m100link.apps.ros2.topics import OUTPUTS, SERVICES
+from m100link.log.cdr import full_name
 from tests.apps.cli.conftest import ROOT, CommandLine
 from tests.apps.cli.test_configuration import FILE
 from tests.waiting import PATIENCE
@@ -99,6 +101,13 @@ def test_tables_are_made_of_the_code(cli: CommandLine, monkeypatch: pytest.Monke
     assert [one for one in left if not re.fullmatch(BUILT, one)] == []
 
 
+def test_no_table_cuts_a_type_or_another_word(cli: CommandLine) -> None:
+    page = cli("docs", "fly-by-ros2").out
+    for whole in (OUTPUTS, SERVICES):
+        assert [row.kind for row in whole.values() if full_name(row.kind) not in page] == []
+    assert max(map(len, page.splitlines())) <= 100
+
+
 @pytest.mark.parametrize(
     ("kind", "shown"),
     [
@@ -138,6 +147,7 @@ def test_a_page_that_is_not_there_names_those_that_are_near(cli: CommandLine) ->
     assert outcome.status == ExitCode.USAGE
     assert "did you mean authority?" in outcome.err
     assert "errors" in cli("docs", "error").err
+    assert "did you mean fly-by-ros2 or" in cli("docs", "ros2").err
     assert "m100link docs --find zzz" in cli("docs", "zzz").err
 
 
