@@ -45,7 +45,7 @@ from m100link.apps.cli.serve import (
     tell_event,
     warn_of,
 )
-from m100link.apps.cli.terminal import AS_IT_IS, ExitCode, LogOptions, as_json, tell
+from m100link.apps.cli.terminal import AS_IT_IS, ExitCode, LogOptions, as_json, print_json, tell
 from m100link.apps.fleet.client import open_fleet
 from m100link.apps.fleet.identity import BadRights, Rights
 from m100link.apps.fleet.keys import DEFAULT_SITE
@@ -151,7 +151,7 @@ async def agent(
         for called, settings in aircraft.items():
             show(settings, called)
         return ExitCode.OK
-    is_virtual = all(settings.sim for settings in aircraft.values())
+    is_virtual = all(settings.is_virtual for settings in aircraft.values())
     kept = order_log or (None if is_virtual else default_order_logs())
     fleet = FleetSettings(
         connect, site, LostLinkPlan(lost, lost_after), kept, log_rate=log_rate * 1e6
@@ -275,6 +275,8 @@ async def doctor(file: FleetFile, /) -> int:
     for one in found:
         facts = {"fault": one.fault, "name": one.name, "seen": one.seen, "remedy": one.remedy}
         tell(facts, f"✗ {one.fault}: {one.seen}", f"  {one.remedy}")
+    if not found and as_json():
+        print_json({"ok": True})
     return ExitCode.FAILED if found else ExitCode.OK
 
 

@@ -160,7 +160,7 @@ async def _running(
             yield several, several.front
             return
         ((name, settings),) = aircraft.items()
-        if sys.platform == "win32" and not (settings.sim or settings.is_replay):
+        if sys.platform == "win32" and not (settings.is_virtual or settings.is_replay):
             err.print("[yellow]warning:[/] on Windows one process both flies and serves clients")
         run: Any = running_apart(settings, begun) if is_apart else running(settings, **served)
         one = await enter(run)
@@ -247,7 +247,7 @@ def _announce(aircraft: dict[str, Settings], running: _Station) -> None:
         for name, urls in served.items():
             if urls:
                 facts[name] = urls[0] if name in _ALONE else urls
-        facts["sim"] = settings.sim
+        facts["sim"] = settings.is_virtual
         print_json(facts | ({"aircraft": list(aircraft)} if len(aircraft) > 1 else {}))
         return
     for name, urls in served.items():

@@ -158,6 +158,11 @@ class Settings:
     unused: tuple[str, ...] = ()
 
     @property
+    def is_virtual(self) -> bool:
+        """Whether the aircraft is a virtual one of this process."""
+        return self.sim or (self.url or "").startswith("sim:")
+
+    @property
     def is_replay(self) -> bool:
         """Whether the aircraft is a recorded flight."""
         return (self.url or "").startswith("replay://")

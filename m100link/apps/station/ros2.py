@@ -104,13 +104,13 @@ async def serving_ros2(
                 names[name],
                 domain=settings.ros2_domain,
                 number=number,
-                has_clock=settings.sim and not number,
+                has_clock=settings.is_virtual and not number,
                 has_dji_names=settings.ros2_dji_names,
             )
             for number, (name, agent) in enumerate(agents.items())
         ]
         for package, ends in bus.missing.items() if isinstance(bus, DdsBus) else ():
             for agent in agents.values():
-                agent.note(f"no {', '.join(ends)}: {package} is not built here", "warning")
+                agent.note(f"{package} is not built here: there is no {', '.join(ends)}", "warning")
         async with beside({f"m100link station: {node.name.full}": node.run() for node in nodes}):
             yield nodes

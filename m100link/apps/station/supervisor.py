@@ -217,7 +217,7 @@ def front_settings(settings: Settings) -> dict[str, Any]:
         for one in fields(settings)
         if one.name not in _NOT_FOR_FRONTS
     }
-    given["token"] = settings.access_token()
+    given |= {"token": settings.access_token(), "sim": settings.is_virtual}
     if not (settings.mavlink or settings.mavlink_to):  # they alone give logs away
         given["record"] = None
     return as_json(given)

@@ -262,6 +262,14 @@ def test_the_address_that_is_announced_is_one_where_it_listens(host: str, at: st
     assert name in {*Settings(host=host).host_names(), "127.0.0.1", "[::1]", "localhost"}
 
 
+def test_the_scheme_says_whether_the_aircraft_is_virtual() -> None:
+    for url in ("sim://", "sim://?firmware=3.1"):
+        assert Settings(url=url).is_virtual
+    assert Settings(sim=True).is_virtual
+    for url in ("/dev/ttyUSB0", "tcp://sim:5760", "replay:///sim.mcap"):
+        assert not Settings(url=url).is_virtual
+
+
 def test_a_name_of_the_station_is_announced_where_it_listens_everywhere() -> None:
     settings = Settings(host="0.0.0.0", allow_host=("field-laptop.local",))
     assert settings.authority(80) == "field-laptop.local:80"

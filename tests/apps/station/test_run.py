@@ -43,6 +43,7 @@ def test_a_setting_of_zero_or_false_reaches_the_fronts_and_none_does_not() -> No
     found = front_settings(Settings(sim=False, port=0, metrics_port=None, tiles=Path("a.mbtiles")))
     assert (found["port"], found["sim"], found["tiles"]) == (0, False, "a.mbtiles")
     assert "metrics_port" not in found
+    assert front_settings(Settings(url="sim://?firmware=3.1"))["sim"]  # the URL itself stays here
 
 
 @pytest.fixture
