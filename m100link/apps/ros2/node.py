@@ -137,7 +137,7 @@ class Node:
 
     def _status(self) -> Status:
         level = DiagnosticLevel.WARN if self._trouble else DiagnosticLevel.OK
-        seen = self._trouble or "failures since the start of the node"
+        seen = self._trouble or "no failures since the start"
         return Status("node", level, seen, self.counted)
 
     def _look_at_graph(self) -> None:

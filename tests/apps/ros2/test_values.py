@@ -243,7 +243,7 @@ DIAGNOSTICS = (
     | status(2, "navigation", 0, "good", position_test_ratio="0.0", height_test_ratio="0.0")
     | status(3, "control", 0, "programs have control", lease="somebody", task="go home")
     | status(4, "battery", 0, "charged", percent="63")
-    | status(5, "node", 0, "failures since the start of the node", **NOT_DONE)
+    | status(5, "node", 0, "no failures since the start", **NOT_DONE)
 )
 
 TOLD: dict[str, dict[str, Any]] = {

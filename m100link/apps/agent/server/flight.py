@@ -120,7 +120,7 @@ class ActiveFlight:
             if setpoint == setpoint.neutral():
                 return
             self.mission.require_none("a setpoint")  # which the aircraft would ignore
-            self._end_program("the stick was moved")
+            self._end_program("setpoints took over")
         self._send(setpoint, lifetime)
         self._steered = setpoint
 

@@ -727,7 +727,7 @@ async def test_the_stick_ends_it_and_letting_go_of_it_does_not(pointing: Pointin
         await anyio.sleep(0.05)
     dynamics = rig.aircraft.vehicle.flight.dynamics
     assert dynamics.velocity_north == pytest.approx(1.0, abs=0.4)
-    assert "the stick was moved" in (await flight).seen
+    assert "setpoints took over" in (await flight).seen
     await pointing.assert_hovers()
 
 
