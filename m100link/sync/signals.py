@@ -21,14 +21,17 @@ class Flying(Protocol):
     @property
     def is_flying(self) -> bool:
         """Whether nothing has ended it."""
+        ...
 
     @property
     def is_stopping(self) -> bool:
         """Whether its stop path runs."""
+        ...
 
     @property
     def is_over(self) -> bool:
         """Whether its stop path has ended too."""
+        ...
 
     def interrupt(self) -> None:
         """Begin the stop path, without waiting."""
