@@ -304,9 +304,21 @@ class Control(Handed):
         finally:
             SIGNALS.leave(self)
 
-    is_flying = Reads[bool](aio.Control.is_flying)
-    is_stopping = Reads[bool](aio.Control.is_stopping)
-    is_over = Reads[bool](aio.Control.is_over)
+    @property
+    def is_flying(self) -> bool:
+        """Whether control was asked for, and nothing has ended it."""
+        return bool(self._aio.is_flying)
+
+    @property
+    def is_stopping(self) -> bool:
+        """Whether its stop path runs."""
+        return bool(self._aio.is_stopping)
+
+    @property
+    def is_over(self) -> bool:
+        """Whether the stop path has ended."""
+        return bool(self._aio.is_over)
+
     has_guardian = Reads[bool](aio.Control.has_guardian)
 
     def interrupt(self) -> None:
