@@ -35,7 +35,7 @@ class Vehicle:
         self.newest: dict[str, MavlinkMessage] = {}
         self.sent, self.beaten_at = 0, -math.inf
 
-    def say(self, message: str, **fields: float) -> None:
+    def say(self, message: str, **fields: float | str) -> None:
         self.sent += 1
         to = {"target_system": 1, "target_component": 1}
         values = MavlinkMessage(message, fields | to, component=190)
@@ -54,7 +54,7 @@ class Vehicle:
                 if message.name == "STATUSTEXT":  # why something was refused, or happened
                     print("   ", message["text"])
 
-    def wait(self, name: str, **wanted: float) -> MavlinkMessage:
+    def wait(self, name: str, **wanted: float | str) -> MavlinkMessage:
         """Wait for a message, with these values if any are named."""
         self.newest.pop(name, None)
         ends = time.monotonic() + PATIENCE
