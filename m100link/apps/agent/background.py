@@ -9,7 +9,7 @@ import sys
 import time
 from collections.abc import Callable, Coroutine, Iterable, Iterator
 from contextlib import contextmanager, suppress
-from typing import Any
+from typing import Any, Literal
 
 from m100link.errors import M100Error
 
@@ -152,6 +152,32 @@ async def is_set_within(event: asyncio.Event, seconds: float | None) -> bool:
             return await event.wait()
     except TimeoutError:
         return False
+
+
+class Ended(asyncio.Event):
+    """Set by Ctrl-C and SIGTERM.
+
+    A task that has not come to wait for it yet is cancelled instead: it may wait for a router or an
+    aircraft that never answers. Made in the task of the verb or process.
+    """
+
+    def __init__(self, tell: Callable[[], object] = lambda: None) -> None:
+        super().__init__()
+        self._beginning, self._tell = asyncio.current_task(), tell
+        when_signalled(self.end, "SIGINT", "SIGTERM")
+
+    def end(self) -> None:
+        """What a signal does."""
+        self.set()
+        beginning, self._beginning = self._beginning, None
+        if beginning is not None:  # once: a second signal would cut short how it ends
+            beginning.cancel()
+            self._tell()
+
+    async def wait(self) -> Literal[True]:
+        """Wait until it is set."""
+        self._beginning = None
+        return await super().wait()
 
 
 def call_each(callbacks: Iterable[Callable[..., object]], *arguments: object) -> None:

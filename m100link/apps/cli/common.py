@@ -8,13 +8,13 @@ import re
 import sys
 from collections.abc import Callable, Coroutine, Iterable, Mapping
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 from rich.console import Console
 from rich.text import Text
 
-from m100link.apps.agent.background import when_signalled
+from m100link.apps.agent import background
 from m100link.apps.cli.configuration import read_configuration
 from m100link.apps.cli.options import Above0, offered, options_of
 from m100link.apps.cli.terminal import AS_IT_IS, LINES, ExitCode, LogOptions, panel
@@ -299,26 +299,8 @@ async def until(seconds: float | None, work: Any) -> None:
             raise
 
 
-class Ended(asyncio.Event):
-    """Set by Ctrl-C and SIGTERM.
-
-    A task that has not come to wait for it yet is cancelled instead: it may wait for a router that
-    never answers. Made in the task of the verb.
-    """
+class Ended(background.Ended):
+    """Set by Ctrl-C and SIGTERM, which says so of a verb that has not come to wait for it yet."""
 
     def __init__(self) -> None:
-        super().__init__()
-        self._beginning = asyncio.current_task()
-        when_signalled(self._tell, "SIGINT", "SIGTERM")
-
-    def _tell(self) -> None:
-        self.set()
-        beginning, self._beginning = self._beginning, None
-        if beginning is not None:  # once: a second signal would cut short how it ends
-            beginning.cancel()
-            err.print("ending")
-
-    async def wait(self) -> Literal[True]:
-        """Wait until it is set."""
-        self._beginning = None
-        return await super().wait()
+        super().__init__(lambda: err.print("ending"))

@@ -25,7 +25,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from m100link.apps.agent.background import is_set_within
+from m100link.apps.agent.background import Ended, is_set_within
 from m100link.apps.agent.transports import connect_unix, serve_unix
 from m100link.apps.station.config import resolve
 from m100link.apps.station.listeners import FRONTS, Fronts, Sockets, serving_fronts
@@ -42,12 +42,12 @@ AFTERLIFE = 60.0  # seconds that fronts tell of an agent that has gone, before t
 _CHECK = 0.25
 
 
-async def _own(request: dict[str, Any], ended: asyncio.Event) -> None:
+async def _own(request: dict[str, Any], ended: Ended) -> None:
     from m100link.apps.agent.messages import JOURNAL_LOG
     from m100link.apps.station.run import owning
     from m100link.sim.orders import CtlServer
 
-    end_with_parent(ended)
+    end_with_parent(ended.end)
     log_of(request["name"])
     tell_elsewhere(JOURNAL_LOG)  # by the process over this one, which gets every event
     async with AsyncExitStack() as stack:
@@ -70,10 +70,10 @@ async def _own(request: dict[str, Any], ended: asyncio.Event) -> None:
         await ended.wait()
 
 
-async def _part(request: dict[str, Any], ended: asyncio.Event) -> None:
+async def _part(request: dict[str, Any], ended: Ended) -> None:
     from m100link.apps.station.fleet_file import running_part, tell_log
 
-    end_with_parent(ended)
+    end_with_parent(ended.end)
     log_of(request["name"])
     given = request["settings"]
     settings = None if given is None else resolve(given, {})
@@ -84,7 +84,7 @@ async def _part(request: dict[str, Any], ended: asyncio.Event) -> None:
         await ended.wait()
 
 
-async def _serve(request: dict[str, Any], ended: asyncio.Event) -> None:
+async def _serve(request: dict[str, Any], ended: Ended) -> None:
     settings = resolve(request["settings"], {})
     sockets = Sockets.inherited(request["sockets"])
     reach = {name: partial(connect_unix, Path(path)) for name, path in request["agents"].items()}
@@ -94,7 +94,7 @@ async def _serve(request: dict[str, Any], ended: asyncio.Event) -> None:
 
         orders = {name: await orders_by_socket(Path(at)) for name, at in request["orders"].items()}
     parent_ended = asyncio.Event()
-    end_with_parent(parent_ended)
+    end_with_parent(parent_ended.set)
     async with serving_fronts(settings, sockets, reach, orders) as fronts:
         leave_what_stays()
         answer(console_path=fronts.console_path())

@@ -19,7 +19,7 @@ from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
-from m100link.apps.agent.background import when_signalled
+from m100link.apps.agent.background import Ended
 from m100link.apps.station.config import MOST_AIRCRAFT, Settings
 from m100link.apps.station.listeners import FRONTS, Sockets, open_sockets
 from m100link.apps.station.log_output import LogOutput, in_force, writing_log
@@ -275,7 +275,7 @@ async def beginning_fronts(
 # -- the child's side -----------------------------------------------------------------------------
 
 
-def run_child(work: Callable[[dict[str, Any], asyncio.Event], Awaitable[None]]) -> int:
+def run_child(work: Callable[[dict[str, Any], Ended], Awaitable[None]]) -> int:
     """Be such a process: do ``work`` with what the line says, until a signal sets the event."""
     line = sys.stdin.readline()
     if not line:
@@ -283,9 +283,12 @@ def run_child(work: Callable[[dict[str, Any], asyncio.Event], Awaitable[None]]) 
     request = read_json(line)
 
     async def run() -> None:
-        ended = asyncio.Event()
-        when_signalled(ended.set, "SIGINT", "SIGTERM")
-        await work(request, ended)
+        ended = Ended()
+        try:
+            await work(request, ended)
+        except asyncio.CancelledError:
+            if not ended.is_set():
+                raise
 
     try:
         log = request["log"]  # as the parent does
@@ -316,13 +319,13 @@ def leave_what_stays() -> None:
     gc.enable()
 
 
-def end_with_parent(ended: asyncio.Event) -> None:
-    """Set this when standard input ends: nobody writes to it, so its holder has gone."""
+def end_with_parent(end: Callable[[], object]) -> None:
+    """Call this when standard input ends: nobody writes to it, so its holder has gone."""
     loop = asyncio.get_running_loop()
     number = sys.stdin.fileno()
 
     def readable() -> None:
         loop.remove_reader(number)
-        ended.set()
+        end()
 
     loop.add_reader(number, readable)

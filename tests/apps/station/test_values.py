@@ -21,6 +21,7 @@ from typing import Any
 import pytest
 
 from m100link.apps.agent import transports
+from m100link.apps.agent.background import Ended
 from m100link.apps.agent.messages import RemoteError
 from m100link.apps.station import listeners, process, run, supervisor
 from m100link.apps.station.config import ONLY_NAME, Settings
@@ -483,7 +484,7 @@ async def test_an_agent_that_is_started_again_grants_other_leases(
     monkeypatch.setattr(process, "serve_unix", noted.context("serve_unix"))
     for name in ("end_with_parent", "log_of", "tell_elsewhere", "leave_what_stays", "answer"):
         monkeypatch.setattr(process, name, noted.call(name))
-    ended = asyncio.Event()
+    ended = Ended()
     ended.set()
     request = {"settings": {"url": URL, "level": 1}, "place": 2, "name": "left", "starts": starts}
     await process._own(request | {"agent": "/x/agent", "orders": "/x/orders"}, ended)
@@ -492,7 +493,7 @@ async def test_an_agent_that_is_started_again_grants_other_leases(
     assert how == {"place": 2, "leases_before": leases}
     assert noted.of("serve_unix")[0][0] == Path("/x/agent")
     assert noted.of("answer")[1] == {"is_virtual": is_virtual}
-    assert noted.of("end_with_parent")[0] == (ended,)
+    assert noted.of("end_with_parent")[0] == (ended.end,)
     assert noted.of("log_of")[0] == ("left",)
     assert ("orders" in noted.names) is is_virtual
     ends = [name for name in noted.names if name.startswith(("end of", "close"))]
@@ -756,6 +757,33 @@ def test_a_child_works_until_a_signal_and_tells_its_fault(
         assert RemoteError(**told["fault"]).error().seen == "it cannot be"
 
 
+@pytest.mark.parametrize("by", ["a signal", "the end of its supervisor"])
+def test_a_child_that_still_waits_for_what_never_comes_ends_in_order(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], by: str
+) -> None:
+    """A process of a fleet file stayed for as long as its router was silent."""
+    read, write = os.pipe()
+    stdin = SimpleNamespace(readline=lambda: '{"log": null}', fileno=lambda: read)
+    monkeypatch.setattr("sys.stdin", stdin)
+    in_order: list[str] = []
+
+    async def work(_: dict[str, Any], ended: Ended) -> None:
+        supervisor.end_with_parent(ended.end)
+        if by == "a signal":
+            signal.raise_signal(signal.SIGTERM)
+        os.close(write)  # the second reason to end cuts nothing short
+        try:
+            await asyncio.Event().wait()
+        finally:
+            await asyncio.sleep(0.05)
+            in_order.append("closed")
+
+    assert supervisor.run_child(work) == 0
+    os.close(read)
+    assert in_order == ["closed"]
+    assert capfd.readouterr() == ("", "")
+
+
 def test_a_child_that_loaded_for_a_supervisor_that_has_gone_ends(
     monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -798,7 +826,7 @@ async def test_a_child_ends_when_nobody_writes_to_it_any_more(
     read, write = os.pipe()
     monkeypatch.setattr("sys.stdin", SimpleNamespace(fileno=lambda: read))
     ended = asyncio.Event()
-    supervisor.end_with_parent(ended)
+    supervisor.end_with_parent(ended.set)
     await asyncio.sleep(1.0)
     lives = not ended.is_set()
     os.close(write)
