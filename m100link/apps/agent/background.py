@@ -167,7 +167,7 @@ class Ended(asyncio.Event):
         when_signalled(self.end, "SIGINT", "SIGTERM")
 
     def end(self) -> None:
-        """What a signal does."""
+        """Set it, as a signal does."""
         self.set()
         beginning, self._beginning = self._beginning, None
         if beginning is not None:  # once: a second signal would cut short how it ends

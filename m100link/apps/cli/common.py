@@ -14,7 +14,7 @@ from cyclopts import Parameter
 from rich.console import Console
 from rich.text import Text
 
-from m100link.apps.agent import background
+from m100link.apps.agent.background import Ended
 from m100link.apps.cli.configuration import read_configuration
 from m100link.apps.cli.options import Above0, offered, options_of
 from m100link.apps.cli.terminal import AS_IT_IS, LINES, ExitCode, LogOptions, panel
@@ -299,8 +299,6 @@ async def until(seconds: float | None, work: Any) -> None:
             raise
 
 
-class Ended(background.Ended):
-    """Set by Ctrl-C and SIGTERM, which says so of a verb that has not come to wait for it yet."""
-
-    def __init__(self) -> None:
-        super().__init__(lambda: err.print("ending"))
+def ended_by_signal() -> Ended:
+    """The end of a verb, which says so where the verb has not come to wait for it yet."""
+    return Ended(lambda: err.print("ending"))

@@ -17,7 +17,7 @@ from cyclopts import Parameter
 
 from m100link.apps.agent.messages import JOURNAL_LOG
 from m100link.apps.agent.orders import Right
-from m100link.apps.cli.common import Ended, err, layer_of_settings
+from m100link.apps.cli.common import ended_by_signal, err, layer_of_settings
 from m100link.apps.cli.fleet import (
     NO_OPTIONS,
     ROUTER,
@@ -103,7 +103,7 @@ async def router(
         connect: Endpoint of another router to link with, so that clients of both see each other;
             may be repeated. Routers may start in any order.
     """
-    ended = Ended()
+    ended = ended_by_signal()
     async with open_fleet("router", listen=listen, connect=connect):
         tell({"listen": list(listen)}, f"router: {', '.join(listen)}")
         await ended.wait()
@@ -160,7 +160,7 @@ async def agent(
 
 
 async def _serve(aircraft: dict[str, Settings], fleet: FleetSettings, run: RunOptions) -> int:
-    ended = Ended()
+    ended = ended_by_signal()
     tell_elsewhere(JOURNAL_LOG)
     with FlightProgress("talk", MOST_UNWRITTEN) as teller:
         async with serving_fleet(aircraft, fleet, partial(tell_event, teller, run.log)) as agents:
@@ -220,7 +220,7 @@ async def up(
         for name in parts_of(rights)
         if not names or name in names
     }
-    ended = Ended()
+    ended = ended_by_signal()
     tell_elsewhere(JOURNAL_LOG)
     with FlightProgress("talk", MOST_UNWRITTEN) as teller:
         if len(parts) == 1:
@@ -317,7 +317,7 @@ async def console(
 async def _serve_console(
     names: tuple[str, ...], options: FleetOptions, settings: Settings, *, is_opened: bool
 ) -> int:
-    ended = Ended()
+    ended = ended_by_signal()
     async with options.open() as fleet, serving_fleet_console(fleet, settings, names) as served:
         scheme = "http" if settings.tls_cert is None else "https"
         path, shown = served.console_path(), list(served.agents)

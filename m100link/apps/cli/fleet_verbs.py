@@ -17,7 +17,7 @@ from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, Trans
 from rich.table import Table
 
 from m100link.apps.agent.background import is_set_within
-from m100link.apps.cli.common import Ended, err, out
+from m100link.apps.cli.common import ended_by_signal, err, out
 from m100link.apps.cli.fleet import (
     NO_OPTIONS,
     All,
@@ -198,7 +198,7 @@ async def monitor(*, duration: AtMost = None, options: FleetOptions = NO_OPTIONS
     Agents send each item five times a second for this, or at its own rate if that is lower. With
     --json the command prints one object for each aircraft and second.
     """
-    ended = Ended()
+    ended = ended_by_signal()
     if duration is not None:
         asyncio.get_running_loop().call_later(duration, ended.set)
     async with options.open() as fleet:
@@ -257,7 +257,7 @@ async def watch(
     name: Name, /, *, duration: AtMost = None, options: FleetOptions = NO_OPTIONS
 ) -> None:
     """Print every telemetry package of one aircraft until Ctrl-C: one JSON object for each."""
-    ended = Ended()
+    ended = ended_by_signal()
     gone: ReaderGone | None = None
 
     def tell(_: str, sample: Sample) -> None:
@@ -296,7 +296,7 @@ async def lease(
     name: Name, /, *, take_over: TakeOver = False, options: FleetOptions = NO_OPTIONS
 ) -> None:
     """Take control of one aircraft and hold it, hovering, until Ctrl-C."""
-    ended = Ended()
+    ended = ended_by_signal()
     async with options.open() as fleet, fleet[name].control(take_over=take_over) as control:
         facts = {"name": name, "fence": control.fence}
         words = f"{name}: lease {control.fence}, until Ctrl-C"

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol
 
 from cyclopts import Parameter
 
-from m100link.apps.cli.common import Ended, err, layer_of_settings, out, places
+from m100link.apps.cli.common import ended_by_signal, err, layer_of_settings, out, places
 from m100link.apps.cli.configuration import read_configuration
 from m100link.apps.cli.options import On, offered
 from m100link.apps.cli.terminal import (
@@ -87,7 +87,7 @@ async def run_station(
     served = {"with_console": with_console, "with_rosbridge": with_rosbridge}
     from m100link.apps.station.supervisor import leave_what_stays
 
-    ended = Ended()
+    ended = ended_by_signal()
     log_of(next(iter(aircraft)) if len(aircraft) == 1 else "")
     with FlightProgress("talk", MOST_UNWRITTEN) as teller:
         tell = partial(tell_event, teller, options.log, is_named=len(aircraft) > 1)

@@ -644,7 +644,7 @@ def test_where_a_router_listens(
         yield
 
     monkeypatch.setattr(fleet_setup, "open_fleet", open_fleet)
-    monkeypatch.setattr(fleet_setup, "Ended", Over)
+    monkeypatch.setattr(fleet_setup, "ended_by_signal", Over)
     outcome = cli("fleet", "router", *words.split())
     assert (outcome.status, notes) == (
         0,

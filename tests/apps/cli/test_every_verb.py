@@ -143,7 +143,7 @@ def run(
         yield
 
     monkeypatch.setattr(fleet_setup, "open_fleet", open_fleet)
-    monkeypatch.setattr(fleet_setup, "Ended", Over)
+    monkeypatch.setattr(fleet_setup, "ended_by_signal", Over)
 
     def command(words: str, *more: str) -> Any:
         names = {"PLAN": plan_file, "LOG": str(flight_log), "SHOW": SHOW}

@@ -550,7 +550,7 @@ async def test_the_end_says_that_control_goes_back_where_there_is_some(
         ended.set()
 
     ended = asyncio.Event()
-    monkeypatch.setattr(serve, "Ended", lambda: ended)
+    monkeypatch.setattr(serve, "ended_by_signal", lambda: ended)
     monkeypatch.setattr(serve, "_are_there", there)
     monkeypatch.setattr(serve, "_running", played)
     for process_wide in ("tell_elsewhere", "log_of"):

@@ -1171,7 +1171,7 @@ async def test_an_end_is_an_event_and_cancels_what_began_it_until_it_is_waited_f
     ended_in_order: list[bool] = []
 
     async def verb(*, waits: bool) -> None:
-        ended = common.Ended()
+        ended = common.ended_by_signal()
         for after_s in (1.0, 1.1, 1.9):
             asyncio.get_running_loop().call_later(after_s, ended.end)
         if waits:
