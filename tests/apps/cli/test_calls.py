@@ -387,7 +387,7 @@ def fleet_of(notes: Notes) -> Any:
 
     async def each(do: Any, names: Any) -> dict[str, Any]:
         found = {}
-        for name in names or ("a1", "a2"):
+        for name in names:
             order = getattr(do, "_do", do)
             if order.__qualname__.startswith("FleetAircraft."):
                 notes.note(f"{name}.{order.__name__}")
@@ -401,7 +401,10 @@ def fleet_of(notes: Notes) -> Any:
         def __getitem__(self, name: str) -> Any:
             return aircraft(name)
 
-    return There(each=each)
+    async def present() -> list[str]:
+        return ["a1", "a2"]
+
+    return There(each=each, names=present)
 
 
 @pytest.fixture
