@@ -129,7 +129,7 @@ TABLE: dict[Event, dict[type[Front], End | Cannot]] = {
         Ros2: End(H, BRAKES, FRONT, r"it was stopped: call ~/obtain_control", "control"),
         FleetPilot: End(H, BRAKES, FRONT, "STOP was pressed; setpoints that go on", "control"),
         FarConsole: End(H, BRAKES, FRONT, f"STOP was pressed, and {PAD_HELD}", "let go"),
-        Performer: End(H, BRAKES, NOBODY, "a1 left; the others fly on"),
+        Performer: End(H, BRAKES, NOBODY, "had to take off: a1; those in the air hover"),
         Sync: End(H, BRAKES, NOBODY, "is over with this block", "control"),
     },
     Event.STOP_ELSEWHERE: {

@@ -141,7 +141,7 @@ class Conductor:
         await asyncio.gather(*map(leave, self._tracks.values()), return_exceptions=True)
         if left:
             does = "land" if self._leave == "land" else "hover, and nobody has control of them"
-            self._tell(f"{', '.join(sorted(left))} were to take off: those in the air {does}")
+            self._tell(f"had to take off: {', '.join(sorted(left))}; those in the air {does}")
 
     async def _each(self, do: Callable[[TimedTrack], Any]) -> list[Any]:
         """Something with each at once; the first that fails is named, and raised behind all."""

@@ -480,7 +480,7 @@ async def test_what_has_taken_off_hovers_or_lands_where_another_cannot_begin(
         with pytest.raises(M100Error, match="a3"):
             await made.conductor(leave=leave).fly()
         does = {"hover": "hover, and nobody has control of them", "land": "land"}[leave]
-        assert f"a1, a2, a3 were to take off: those in the air {does}" in made.told
+        assert f"had to take off: a1, a2, a3; those in the air {does}" in made.told
         await anyio.sleep(10.0)
         heights = [one.height for one in made.on_board]
         assert [height > 0.5 for height in heights] == [leave == "hover"] * 2 + [False], heights
