@@ -393,7 +393,7 @@ async def test_of_requests_that_wait_as_many_are_kept_as_its_depth_the_newest(
 
 async def test_rclpy_stays_as_long_as_c_reads_a_request(rclpy: Rclpy) -> None:
     """A request of a megabyte took 1.8 s, and rclpy went after one."""
-    reads, goes_on = threading.Event(), threading.Event()
+    reads, goes_on, leaves = threading.Event(), threading.Event(), asyncio.Event()
 
     def long() -> tuple[bytes, bytes]:
         reads.set()
@@ -407,10 +407,10 @@ async def test_rclpy_stays_as_long_as_c_reads_a_request(rclpy: Rclpy) -> None:
             bus.questions(declared(bus, EntityKind.SERVER, "/m100/set_parameters", kind), 8)
             rclpy.nodes[0].ends["/m100/set_parameters"].waiting.extend([long, long])
             assert await asyncio.to_thread(reads.wait, PATIENCE)
+            leaves.set()
 
     ending = asyncio.create_task(ended())
-    while not reads.is_set():  # noqa: ASYNC110 - a thread sets it
-        await asyncio.sleep(0)
+    await leaves.wait()
     for _ in range(100):
         await asyncio.sleep(0)
     assert rclpy.up
