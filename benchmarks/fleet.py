@@ -28,6 +28,7 @@ from benchmarks.consumer import make_aircraft
 from benchmarks.frames import telemetry_frames
 from benchmarks.program import main
 from benchmarks.rows import Absent, Program, Row, Setting, Side, at_most, ratio
+from m100link.link import Link
 
 AIRCRAFT = 200
 PERIOD_MS = 10
@@ -100,8 +101,11 @@ def ours(setting: Setting, stack: ExitStack) -> Iterable[Side]:
     number, periods = setting.count(AIRCRAFT), max(2, setting.count(PERIODS))
     wires = telemetry_frames(periods)
 
+    async def make(count: int) -> list[tuple[m100link.Aircraft, Link]]:
+        return await asyncio.gather(*(make_aircraft() for _ in range(count)))
+
     async def alone() -> float:
-        links = [(await make_aircraft())[1] for _ in range(number)]
+        links = [link for _, link in await make(number)]
         taken = 0
 
         def receiver(data_received: Receive) -> Receive:
@@ -116,7 +120,7 @@ def ours(setting: Setting, stack: ExitStack) -> Iterable[Side]:
         return await Harness(receivers, wires, lambda: taken).run(periods)
 
     async def with_tasks() -> float:
-        made = [await make_aircraft() for _ in range(number)]
+        made = await make(number)
         taken = 0
 
         async def take(aircraft: m100link.Aircraft) -> None:
