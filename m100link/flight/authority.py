@@ -11,15 +11,13 @@ import logging
 import time
 from collections.abc import Callable
 from enum import Enum
-from operator import itemgetter
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from m100link.errors import LossReason
-from m100link.protocol.packet import field_span, remember
+from m100link.protocol.packet import remember
 from m100link.protocol.records import ControlDevice, Device, RcMode, RemoteControl
 
 if TYPE_CHECKING:
-    from m100link.protocol.firmware import FirmwareProfile
     from m100link.protocol.packet import TelemetryPacket
 
 __all__ = ["Authority", "AuthorityState"]
@@ -143,9 +141,6 @@ _DEVICE_INPUTS: dict[Device | None, AuthorityInput] = {
 }
 
 
-_WATCHED = ((RemoteControl, "mode"), (ControlDevice, "control"))
-"""The fields that show the controller, all that the observations below read of a package."""
-
 _SETTLING_S = 0.3  # an item of 10 Hz or more, made after the grant, has arrived by then
 
 
@@ -157,11 +152,9 @@ class Authority:
 
     __slots__ = (
         "_clock",
-        "_firmware",
         "_held_since",
         "_known",
         "_listeners",
-        "_takers",
         "_waiters",
         "_was_in_f",
         "_was_ours",
@@ -178,11 +171,8 @@ class Authority:
         self._waiters: list[tuple[AuthorityState, asyncio.Future[None]]] = []
         self._was_in_f: bool | None = None  # the mode switch, when it was seen last
         self._was_ours = False  # CTRL_DEVICE has shown us since the last request
-        # How to take the watched bytes out of a package, by its flags, under this firmware.
-        self._firmware: FirmwareProfile | None = None
-        self._takers: dict[int, Callable[[bytes], object]] = {}
-        # The watched bytes of the last package that changed nothing, by its flags.
-        self._known: dict[int, object] = {}
+        # The bytes that show who controls, of the last package that changed nothing, by its plan.
+        self._known: dict[Any, object] = {}
 
     def subscribe(
         self, listener: Callable[[AuthorityState, AuthorityState], None]
@@ -250,16 +240,13 @@ class Authority:
 
     def observe(self, package: TelemetryPacket) -> None:
         """Cross-check with a package: the mode switch, then CTRL_DEVICE, where it carries them."""
-        flags = package.flags
-        if package.profile is not self._firmware:
-            self._watch(package.profile)
-        take = self._takers.get(flags) or self._taker(flags, package.profile)
-        value = take(package.value)
+        plan = package._plan
+        value = plan.control(package.value)
         known = self._known
         # Most packages say the same as the one before, and reading each was a third of its cost.
         # An observation follows from these bytes, this object's memory, and whether authority had
         # time to settle: where it changed nothing, the same bytes change nothing again.
-        if known.get(flags) == value:
+        if known.get(plan) == value:
             return
         rc, device = package.remote_control, package.control_device
         if rc is not None:
@@ -267,23 +254,7 @@ class Authority:
         if device is not None:
             self.observe_control_device(device)
         if self.state is not _S.HELD or self._is_settled:
-            known[flags] = value  # in what is forgotten already, if something changed
-
-    def _watch(self, firmware: FirmwareProfile) -> None:
-        """From here on packages are those of that firmware."""
-        self._firmware = firmware
-        self._takers.clear()
-        self._forget()
-
-    def _taker(self, flags: int, firmware: FirmwareProfile) -> Callable[[bytes], object]:
-        spans = [field_span(record, name, flags, firmware) for record, name in _WATCHED]
-        # Byte by byte: small numbers exist already, slices would be made.
-        places: list[int | slice] = [
-            at for span in spans if span for at in range(span.start, span.stop)
-        ]
-        take: Callable[[bytes], object] = itemgetter(*(places or [slice(0, 0)]))
-        self._forget()  # with more words than are remembered, the same would be kept of each
-        return remember(self._takers, flags, take)
+            remember(known, plan, value)  # in what is forgotten already, if something changed
 
     def _forget(self) -> None:
         """Something changed by which an observation can differ from the last of the same bytes."""

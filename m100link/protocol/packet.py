@@ -9,21 +9,27 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache
+from operator import itemgetter
 from struct import Struct, calcsize
 from typing import Any, TypeVar
 
 from m100link.errors import LayoutMismatch
 from m100link.protocol.firmware import PROFILES, FirmwareProfile
 from m100link.protocol.items import BY_RECORD, ITEMS, Item, ItemLayout, RecordViews
+from m100link.protocol.records import ControlDevice, FlightStatus, RemoteControl, Time
 from m100link.wire.frame import maker
 
 R = TypeVar("R", bound=tuple[Any, ...])
+K = TypeVar("K")
 V = TypeVar("V")
 _Values = tuple[Any, ...]
 _Reader = Callable[[bytes, int], Any]
 
 _FLAGS_SIZE = 2
 _MOST_FLAG_WORDS = 256  # an aircraft sends some dozens, a hostile line all 4096
+_UNSIGNED = {1: "B", 2: "H", 4: "I", 8: "Q"}
+
+_span = lru_cache(maxsize=64)(ItemLayout.span)
 
 
 def _reader(items: Sequence[Item], profile: FirmwareProfile, result: str) -> _Reader:
@@ -65,14 +71,28 @@ def _item_reader(bit: int, profile: FirmwareProfile) -> _Reader:
     return _reader((ITEMS[bit],), profile, "{}")  # the record itself
 
 
+def _bytes_at(*spans: slice) -> Callable[[bytes], object]:
+    """A function that takes these bytes of a packet: one number, or several in a row."""
+    # Byte by byte: small numbers exist already, slices would be made.
+    places: list[Any] = [at for span in spans for at in range(span.start, span.stop)]
+    return itemgetter(*(places or [slice(0)]))
+
+
 class _Plan:
     """Where everything is in a packet with one set of flags under one profile.
 
     ``pack``: makes a packet of flag word and values. ``unpack``: reads all values at once, without
     the flag word.
+
+    Of each package that arrives, three things are asked for, of all lines by one plan. ``tick``
+    reads that of the clock; None: there is none. ``control`` takes the bytes that show who controls
+    the aircraft, to be compared. ``status`` takes the flight status; None: there is none.
     """
 
-    __slots__ = ("flags", "items", "pack", "places", "profile", "read", "size", "unpack")
+    __slots__ = (
+        *("control", "flags", "items", "pack", "places", "profile", "read", "size", "status"),
+        *("tick", "unpack"),
+    )
 
     def __init__(self, flags: int, profile: FirmwareProfile) -> None:
         self.flags, self.profile = flags, profile
@@ -92,6 +112,22 @@ class _Plan:
                 whole += layout.format
         self.pack, self.unpack = Struct("<H" + whole).pack, Struct("<2x" + whole).unpack
         self.size = calcsize("<H" + whole)  # bytes of the packet
+        tick, status = self.span(Time, "tick"), self.span(FlightStatus, "status")
+        self.tick: Callable[[bytes], tuple[int]] | None = None
+        if tick.stop - tick.start in _UNSIGNED:
+            self.tick = Struct(f"<{tick.start}x{_UNSIGNED[tick.stop - tick.start]}").unpack_from
+        self.status = _bytes_at(status) if status.stop else None
+        mode, device = self.span(RemoteControl, "mode"), self.span(ControlDevice, "control")
+        self.control = _bytes_at(mode, device)
+
+    def span(self, record: type[Any], field: str) -> slice:
+        """The bytes that are a field's: none where the packet or the firmware lacks it."""
+        item = BY_RECORD[record]
+        place, layout = self.items.get(item.bit), self.profile.items.get(item.name)
+        if place is None or layout is None or field not in layout.fields:
+            return slice(0, 0)
+        span = _span(layout, field)
+        return slice(place[0] + span.start, place[0] + span.stop)
 
     def compile(self) -> _Reader:
         """Make :attr:`read`."""
@@ -99,11 +135,11 @@ class _Plan:
         return self.read
 
 
-def remember(memory: dict[int, V], flags: int, value: V) -> V:
-    """Keep a value for a flag word; of more of them than aircraft send, the newest."""
+def remember(memory: dict[K, V], key: K, value: V) -> V:
+    """Keep a value for a flag word or its plan; of more than aircraft send, the newest."""
     if len(memory) >= _MOST_FLAG_WORDS:
         memory.clear()
-    memory[flags] = value
+    memory[key] = value
     return value
 
 
@@ -119,19 +155,6 @@ def telemetry_size(flags: int, profile: FirmwareProfile) -> int:
     Bits of items that the firmware does not have are left out.
     """
     return _plan(flags & profile.item_flags, profile).size
-
-
-def field_span(record: type[Any], field: str, flags: int, profile: FirmwareProfile) -> slice | None:
-    """The bytes of a telemetry value that are a field's, for a reader of nothing else.
-
-    Returns none where packages with these flags lack the item, or the firmware lacks the field.
-    """
-    item = BY_RECORD[record]
-    place = _plan(flags & profile.item_flags, profile).items.get(item.bit)
-    if place is None or field not in profile.items[item.name].fields:
-        return None
-    span = profile.items[item.name].span(field)
-    return slice(place[0] + span.start, place[0] + span.stop)
 
 
 def fits(value: bytes, profile: FirmwareProfile) -> bool:

@@ -78,8 +78,6 @@ _STANDS_UP_M_S = 0.5  # a faster climb or descent contradicts it
 _STANDS_M_S = 2.0  # a faster velocity over ground too; a person who carries it is slower
 _STANDS_M = 0.3  # by which the height may change in that time
 
-_STATUS_FLAG, _STANDBY = 1 << BY_RECORD[FlightStatus].bit, FlightPhase.STANDBY
-
 
 def _shown(field: tuple[str, object]) -> str:
     name, value = field
@@ -181,9 +179,9 @@ class AircraftState(RecordViews):
 
     def update(self, sample: Sample) -> None:
         """Take over what the sample carries."""
-        now, flags = sample.received_at, sample.flags
+        now, plan = sample.received_at, sample._plan
         self.newest_at = now
-        cells = self._cells_of.get(flags)
+        cells = self._cells_of.get(plan.flags)
         if cells is None:
             cells = self._split(sample)
         for cell in cells:
@@ -197,14 +195,17 @@ class AircraftState(RecordViews):
             if arrivals and now - arrivals[0] > _WINDOW_S:
                 arrivals.popleft()
             arrivals.append(now)
-        if flags & _STATUS_FLAG:
-            status = sample[FlightStatus]
-            if status.status != _STANDBY:
-                self.believed_status, self._standing = status, None
-            else:
-                self._look_at_standing(status, now)
+        take = plan.status
+        if take is not None:
+            known = self.believed_status
+            # A status in flight that is believed already changes nothing.
+            if known is None or self._standing or take(sample.value) != known.status:
+                self._look_at_status(sample[FlightStatus], now)
 
-    def _look_at_standing(self, status: FlightStatus, now: float) -> None:
+    def _look_at_status(self, status: FlightStatus, now: float) -> None:
+        if status.status != FlightPhase.STANDBY:
+            self.believed_status, self._standing = status, None
+            return
         count, since, newest, height_m = self._standing or (0, now, now, None)
         position = self.fresh(Position, now=now)
         here_m = None if position is None else position.height_m

@@ -14,7 +14,6 @@ from asyncio import _get_running_loop  # the other one raises where none runs
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from struct import Struct
 from typing import Any, Generic, Self, TypeVar
 
 from m100link.errors import (
@@ -28,8 +27,6 @@ from m100link.errors import (
 from m100link.errors.usage import of_another_loop
 from m100link.protocol.firmware import FIRMWARE_1_0, FirmwareProfile
 from m100link.protocol.items import item_of
-from m100link.protocol.packet import field_span, remember
-from m100link.protocol.records import Time
 from m100link.telemetry.device_clock import DeviceClock
 from m100link.telemetry.sample import AccelerationReader, Sample
 from m100link.telemetry.state import AircraftState
@@ -325,24 +322,11 @@ class Hub(Generic[T]):
 _PACKAGE = 1 << 16  # what a package with no item is, for those who want every package
 
 
-_Place = tuple[int, Callable[[bytes, int], tuple[int]]]
-_UNSIGNED = {
-    size: Struct(code).unpack_from for size, code in ((1, "<B"), (2, "<H"), (4, "<I"), (8, "<Q"))
-}
-
-
-def _tick_place(flags: int, firmware: FirmwareProfile) -> _Place | None:
-    """Where packages with these flags have their tick, and how it is read; None: they have none."""
-    span = field_span(Time, "tick", flags, firmware) or slice(0, 0)
-    unpack = _UNSIGNED.get(span.stop - span.start)
-    return None if unpack is None else (span.start, unpack)
-
-
 class TelemetryStream:
     """Takes packages as they arrive."""
 
     __slots__ = (
-        *("_clock", "_firmware", "_observe", "_ticks"),
+        *("_clock", "_firmware", "_observe"),
         *("acceleration", "hub", "mismatches", "state", "utc_offset_s"),
     )
 
@@ -363,7 +347,6 @@ class TelemetryStream:
         # The firmware by which packages were read, or the clock was asked for, last.
         self._firmware = FIRMWARE_1_0
         self._clock = DeviceClock(FIRMWARE_1_0.tick_hz)  # by which packages arrive, s
-        self._ticks: dict[int, _Place | None] = {}  # where such packages have their tick, by flags
 
     def forget(self) -> None:
         """Begin anew: a recording goes on from another place."""
@@ -374,7 +357,6 @@ class TelemetryStream:
         """The clock of the aircraft; a firmware with another tick rate begins a new one."""
         if firmware is not self._firmware:
             self._firmware = firmware
-            self._ticks.clear()
             if firmware.tick_hz != self._clock.tick_hz:
                 self._clock = DeviceClock(firmware.tick_hz)
         return self._clock
@@ -393,19 +375,14 @@ class TelemetryStream:
             if self.mismatches == 1:
                 _logger.warning("telemetry refused: %s", error)
             return
-        flags = sample.flags
         self.state.update(sample)
-        clock = self._clock if firmware is self._firmware else self.clock_of(firmware)
-        try:
-            place = self._ticks[flags]
-        except KeyError:
-            place = remember(self._ticks, flags, _tick_place(flags, firmware))
-        if place is not None:
+        plan = sample._plan
+        if plan.tick is not None:
             # Of its record, which costs ten times as much, the clock wants nothing else.
-            at, unpack = place
-            clock.update(unpack(value, at)[0], now)
+            clock = self._clock if firmware is self._firmware else self.clock_of(firmware)
+            clock.update(plan.tick(value)[0], now)
         self._observe(sample)
-        self.hub.publish(sample, now, flags or _PACKAGE)
+        self.hub.publish(sample, now, plan.flags or _PACKAGE)
 
     def subscribe(
         self, records: Sequence[type[Any]], policy: Policy, rate_hz: float | None

@@ -21,7 +21,7 @@ from m100link.flight.block import ControlBlock
 from m100link.flight.lifecycle import StopCause
 from m100link.link import Link
 from m100link.protocol.firmware import FirmwareProfile
-from m100link.protocol.packet import field_span
+from m100link.protocol.packet import _plan
 from m100link.protocol.records import Position, Velocity
 from m100link.sim import LineFaults
 from m100link.sim.line import is_telemetry, split_frames
@@ -46,7 +46,8 @@ class Package:
         self.flags = value[0] | value[1] << 8
 
     def span(self, record: type[Any], field: str) -> slice | None:
-        return field_span(record, field, self.flags, self.profile)
+        span = _plan(self.flags & self.profile.item_flags, self.profile).span(record, field)
+        return span if span.stop else None
 
     def set(self, record: type[Any], **fields: float) -> None:
         for field, number in fields.items():

@@ -31,7 +31,7 @@ from m100link.log.records import registered
 from m100link.log.share import _EVENTS, _KEPT, _NAMES, _VOCABULARY, _Cleaner, share
 from m100link.log.story import read_story
 from m100link.protocol.firmware import profile
-from m100link.protocol.packet import field_span, telemetry_size
+from m100link.protocol.packet import _plan, telemetry_size
 from m100link.protocol.setpoint import Horizontal, ReferenceFrame, Vertical, Yaw
 from m100link.sim.ports import driver
 from m100link.sim.virtual import VirtualAircraft
@@ -352,13 +352,12 @@ def test_a_package_of_two_layouts_is_left_out_when_the_other_has_a_place() -> No
         if flags >> 5 & 1
         and not flags & ~(wrong.item_flags & right.item_flags)
         and telemetry_size(flags, wrong) == telemetry_size(flags, right)
-        and (field_span(Position, "latitude_rad", flags, wrong)
-             != field_span(Position, "latitude_rad", flags, right))
+        and (_plan(flags, wrong).span(Position, "latitude_rad")
+             != _plan(flags, right).span(Position, "latitude_rad"))
     )  # fmt: skip
     value = bytearray(flags.to_bytes(2, "little") + bytes(telemetry_size(flags, right) - 2))
     for name, degrees in (("latitude_rad", 47.1), ("longitude_rad", 11.3)):
-        span = field_span(Position, name, flags, right)
-        assert span is not None
+        span = _plan(flags, right).span(Position, name)
         value[span] = struct.pack("<d", math.radians(degrees))
     assert _Cleaner().package(bytes(value), wrong, 0.0) is None
     moved = _Cleaner().package(bytes(value), right, 0.0)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import random
+from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import pytest
 
 from m100link.protocol import Attitude, Battery, Position, encode_telemetry, profile
-from m100link.protocol.items import ITEMS
+from m100link.protocol.items import ITEMS, ItemLayout
 from m100link.protocol.packet import telemetry_size
 from m100link.telemetry.sample import Sample
 from m100link.telemetry.state import AircraftState
@@ -209,6 +211,33 @@ def test_no_drawing_of_wrong_statuses_makes_what_flies_stand(
             at += chance.uniform(0.9, 1.1) / rate_hz
             believed.add(told(state, at, status))
     assert believed == {FLIES}, f"seed {seed}"
+
+
+WIDE = replace(
+    FIRMWARE, items=dict(FIRMWARE.items) | {"flight_status": ItemLayout("H", ("status",))}
+)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_status_is_believed_as_if_each_was_looked_at(clock: Clock, seed: int) -> None:
+    """Most say what the one before said, and are not read; under any firmware, beside any items."""
+    chance = random.Random(seed)
+    state, looking = AircraftState(clock), AircraftState(clock)
+    at, status = 100.0, FLIES
+    for _ in range(400):
+        at += chance.choice((0.01, 0.1, 0.1, 1.0))
+        status = status if chance.random() < 0.7 else chance.choice((STANDS, LANDS, FLIES, 7))
+        firmware = chance.choice((FIRMWARE, WIDE))
+        items: dict[str, Sequence[float]] = {"flight_status": (status + 256 * (firmware is WIDE),)}
+        items |= ATTITUDE if chance.random() < 0.5 else {}
+        items |= {"velocity": (0.0, 0.0, chance.choice((0.1, 0.6)))}
+        if chance.random() < 0.1:
+            del items["flight_status"]
+        package = Sample(encode_telemetry(items, firmware), firmware, at)
+        state.update(package)
+        looking._standing = looking._standing or (0, at, at, None)  # the same as none: it looks
+        looking.update(package)
+        assert state.believed_status == looking.believed_status, f"seed {seed}"
 
 
 def test_what_has_only_been_told_once_is_not_known(state: AircraftState) -> None:
