@@ -552,14 +552,15 @@ def _of_agent(rights: Rights, name: str) -> Iterator[dict[str, Any]]:
     # Setpoints, and what another one of its name tells.
     heard = _keys(rights, [name], (*_PUT, *_CARDS))
     yield _rule("ingress", ["put"], sent)
-    yield _rule("egress", ["declare_subscriber"], sent)
+    # Of an overview, too, which hears all by one pattern: an agent sends what somebody hears.
+    heard_by = [*sent, *_keys(rights, ["*"], (*_SENT, *_PLACES))]
+    yield _rule("egress", ["declare_subscriber"], heard_by)
     yield _rule("ingress", ["declare_queryable", "reply"], served)
     yield _rule("egress", ["query"], asked)
     yield _rule("ingress", ["declare_subscriber"], heard)
     yield _rule("egress", ["put"], heard)
     mine, everybodys = (_keys(rights, [one], _PLACES) for one in (name, "*"))
     yield _rule("ingress", ["put"], mine)
-    yield _rule("egress", ["declare_subscriber"], everybodys)
     yield _rule("ingress", ["declare_subscriber"], everybodys)
     yield _rule("egress", ["put"], everybodys)
     # It looks whether another one has its name, and asks what that says now.

@@ -348,14 +348,17 @@ def test_what_no_rule_allows_is_denied() -> None:
 
 
 def test_an_agent_has_rules_for_nobody_elses_keys_but_a_question_and_places() -> None:
-    """Where all stand is asked by one pattern, which has to be allowed as it stands."""
-    keys = {key for rule in rules_of("agent a1") for key in rule["key_exprs"]}
-    others = {key for key in keys if not key.startswith("m100/site/a1/")}
-    assert others == {"m100/site/*/state", "m100/site/*/place", "m100-live/site/a1/*"}
+    """Where all stand is asked, and heard, by one pattern, which has to be allowed as it stands."""
+    named = {key for rule in rules_of("agent a1") for key in rule["key_exprs"]}
+    others = {key for key in named if not key.startswith("m100/site/a1/")}
+    assert others == {*keys("*", f"{SENT} place"), "m100-live/site/a1/*"}
+    [heard] = [one for one in rules_of("agent a1") if "m100/site/*/tel/**" in one["key_exprs"]]
+    assert (heard["flows"], heard["messages"]) == (["egress"], ["declare_subscriber"])
     places = [one for one in rules_of("agent a1") if "m100/site/*/place" in one["key_exprs"]]
     assert not any("put" in one["messages"] and one["flows"] == ["ingress"] for one in places)
-    [rule] = [one for one in rules_of("agent a1") if "m100/site/*/state" in one["key_exprs"]]
-    assert (rule["flows"], rule["messages"]) == (["egress"], ["query"])
+    states = [one for one in rules_of("agent a1") if "m100/site/*/state" in one["key_exprs"]]
+    assert [one["flows"] for one in states] == [["egress"]] * 2
+    assert [one["messages"] for one in states] == [["declare_subscriber"], ["query"]]
 
 
 SENT = "tel tel/** state event told"
@@ -393,13 +396,12 @@ RULES = {
     "identity none": [],
     "agent a1": [
         ("ingress", "put", keys("a1", SENT)),
-        ("egress", "declare_subscriber", keys("a1", SENT)),
+        ("egress", "declare_subscriber", [*keys("a1", SENT), *keys("*", f"{SENT} place")]),
         ("ingress", "declare_queryable reply", keys("a1", SERVED)),
         ("egress", "query", [*keys("a1", SERVED), *keys("*", "state")]),
         ("ingress", "declare_subscriber", keys("a1", "setpoint state")),
         ("egress", "put", keys("a1", "setpoint state")),
         ("ingress", "put", keys("a1", "place")),
-        ("egress", "declare_subscriber", keys("*", "place")),
         ("ingress", "declare_subscriber", keys("*", "place")),
         ("egress", "put", keys("*", "place")),
         ("ingress", "query", keys("a1", "state")),
@@ -564,6 +566,8 @@ def test_a_router_lets_everybody_do_what_the_file_says(site: Site, is_linked: bo
             site.serve(session, f"m100/site/{name}/{what}")
     setpoints = site.hear(agents["a1"], "m100/site/a1/setpoint")
     heard = {name: site.hear(one, "m100/site/*/tel/5hz") for name, one in people.items()}
+    wanted = [one.declare_publisher(f"m100/site/{name}/tel/5hz") for name, one in agents.items()]
+    until(lambda: all(one.matching_status.matching for one in wanted))  # else agents send nothing
 
     until(lambda: seen(people["wall"]) == {"a1", "a2"})
     until(lambda: answers(people["anna"], "m100/site/a1/cmd") == 1)
