@@ -30,6 +30,7 @@ _SLACK = 0.1 * _PERIOD
 
 KEPT = 0.9  # share of the frames of a second that have to go out: below it the rate is not kept
 _WINDOW_S = 1.0  # in which that share is measured
+_QUIET_S = 60.0  # between two reports that it is not: a log is read in flight
 
 
 def check_lifetime(lifetime: float, *, is_long_allowed: bool) -> None:
@@ -65,7 +66,7 @@ class Pace:
 
     Args:
         on_missed: Called with how many frames were missed, after the frame behind them.
-        on_slow: Called once when the rate is not kept, after the frame that shows it.
+        on_slow: Called when the rate is not kept, after that frame; once a minute at most.
 
     Attributes:
         missed: Frames that did not go out in their time, in all.
@@ -82,6 +83,7 @@ class Pace:
         self._period = 0.0  # at which the next frame was to follow it
         self._elapsed = self._asked = 0.0
         self._frames = 0
+        self._quiet_until = -math.inf
 
     def sent(self, now: float, period: float) -> None:
         """A frame went out, and another one is to follow within a period."""
@@ -98,14 +100,15 @@ class Pace:
         self._asked += periods
         self._frames += 1
         if self._elapsed >= _WINDOW_S:
-            self._judge()
+            self._judge(now)
 
-    def _judge(self) -> None:
-        was_kept, self.is_kept = self.is_kept, self._frames >= KEPT * self._asked
+    def _judge(self, now: float) -> None:
+        self.is_kept = self._frames >= KEPT * self._asked
         self.rate_hz = self._frames / self._elapsed
         self._elapsed = self._asked = 0.0
         self._frames = 0
-        if was_kept and not self.is_kept:
+        if not self.is_kept and now >= self._quiet_until:
+            self._quiet_until = now + _QUIET_S
             self._on_slow()
 
     def silence(self) -> None:
