@@ -143,11 +143,8 @@ class Portal:
             self._schedule(function)
 
     def _schedule(self, function: Callable[[], object]) -> None:
-        try:
+        with suppress(RuntimeError):  # another thread closed it: `close` answers who waits
             self._loop.call_soon_threadsafe(function)
-        except RuntimeError:
-            if not self._loop.is_closed():  # by another thread: `close` answers who waits
-                raise
 
     def soon_await(self, make: Callable[[], Coroutine[Any, Any, object]]) -> None:
         """As :meth:`soon`, where the function waits; its error ends there."""

@@ -125,6 +125,12 @@ def test_after_the_end_every_door_says_so(portal: Portal) -> None:
     portal.soon(lambda: pytest.fail("called"))
 
 
+def test_a_door_that_another_thread_closes_meanwhile_takes_nothing(portal: Portal) -> None:
+    portal.close()
+    portal.is_open = True  # as it was when it was asked
+    portal.soon(lambda: pytest.fail("called"))
+
+
 @pytest.mark.parametrize("round_", range(30))
 def test_a_waiting_thread_gets_an_error_when_another_closes(round_: int) -> None:
     opened = Portal()
@@ -195,21 +201,31 @@ def test_in_the_child_of_a_fork_a_call_is_refused_and_its_end_waits_for_nobody()
     run = subprocess.run(
         [sys.executable, "-c", FORKED], capture_output=True, text=True, timeout=PATIENCE, check=True
     )
-    assert run.stdout.split() == ["refused", "3", "closed"]
+    assert run.stdout.split() == ["ours", "default", "refused", "3", "closed"]
 
 
 FORKED = """
-import asyncio, os, sys
+import asyncio, os, signal, sys
 from m100link.errors import UsageError
 from m100link.sync.portal import Portal
+from m100link.sync.signals import SIGNALS
 
 async def close():
     print("closed", flush=True)
 
 portal = Portal()
 portal.close_after(close, lambda: None)
-child = os.fork()
+SIGNALS.connected(portal)
+
+def shown():
+    is_default = signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+    print("default" if is_default else "ours", flush=True)
+
+shown()
+with SIGNALS._changes:  # another thread may hold it as the child begins, which has no such thread
+    child = os.fork()
 if not child:
+    shown()
     try:
         portal.call(int)
     except UsageError:
