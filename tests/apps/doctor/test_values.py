@@ -23,6 +23,7 @@ from m100link.apps.doctor.diagnosis import (
     _version,
 )
 from m100link.apps.doctor.first_contact import (
+    Contact,
     Topic,
     _lost,
     _Meeting,
@@ -43,8 +44,12 @@ from m100link.apps.doctor.port import (
 from m100link.errors import (
     AckTimeout,
     AuthorityRefused,
+    BadURL,
     CommandRefused,
+    LinkLost,
+    M100Error,
     NoAircraft,
+    PortBusy,
     UsageError,
 )
 from m100link.link import Direction
@@ -52,6 +57,7 @@ from m100link.link.url import ConnectionString, parse_url
 from m100link.protocol.codes import ActivationCode, AuthorityCode
 from m100link.protocol.commands.activation import Credentials
 from m100link.protocol.firmware import PROFILES
+from m100link.protocol.items import BY_RECORD
 from m100link.protocol.records import (
     AccelerationMode,
     AngularVelocity,
@@ -63,7 +69,7 @@ from m100link.protocol.records import (
 )
 from m100link.wire import encode_frame
 from tests import limits
-from tests.apps.doctor.bench import TELEMETRY, FakeMachine
+from tests.apps.doctor.bench import GPS, TELEMETRY, Bench, FakeMachine
 
 pytestmark = pytest.mark.anyio
 
@@ -410,6 +416,7 @@ def test_a_report_fails_at_its_first_failure() -> None:
         ("remedy", "then this"),
     )
     assert told_of.to_json()["error"] == "UsageError"
+    assert (failed(Stage.KEY, UsageError("seen"), "then this").causes) == ()
     assert Finding(Stage.KEY, GOOD, "x").to_json().keys() == {"stage", "asked", "verdict", "seen"}
 
 
@@ -463,6 +470,92 @@ async def test_other_rates_are_tried_by_how_often_they_are_met_and_the_own_one_i
 )
 def test_an_echo_is_the_own_questions_and_nothing_else(data: bytes, is_echo: bool) -> None:
     assert line._is_echo(line.hear(data)) is is_echo
+
+
+ACK = encode_frame(b"\x00\x01", session=2, sequence=0xD0C, is_ack=True)
+NOISE = b"\x91\x37\x05" * 40
+
+
+@pytest.mark.parametrize(
+    ("url", "said", "answer", "closes", "stage", "verdict", "seen", "cause"),
+    [
+        ("/dev/ttyUSB9", b"", b"", False, "BYTES", FAILED, "not one byte in 2 s", "TX and RX are"),
+        ("tcp://h:1", b"", b"", False, "BYTES", FAILED, "it is open, and not", "the program that"),
+        ("udp://h:1", b"", b"", False, "BYTES", FAILED, "not one byte in 2 s", "TX and RX are"),
+        (
+            "/dev/ttyUSB9",
+            NOISE,
+            b"",
+            True,
+            "BYTES",
+            FAILED,
+            "the port went away",
+            "the adapter was",
+        ),
+        ("tcp://h:1", NOISE, b"", True, "BYTES", FAILED, "other end closed", "the program that"),
+        ("/dev/ttyUSB9", b"", line._QUERY, False, "FRAMES", FAILED, "comes back", "TX and RX of"),
+        ("tcp://h:1", GPS, b"", False, "FRAMES", FAILED, "it is NMEA text", "a GPS receiver"),
+        ("tcp://h:1", NOISE, b"", False, "FRAMES", FAILED, "not one valid frame", "noise: no"),
+        ("tcp://h:1", TELEMETRY, b"", False, "TELEMETRY", GOOD, "packages of telemetry", ""),
+        (
+            "/dev/ttyUSB9",
+            b"",
+            ACK,
+            False,
+            "TELEMETRY",
+            DOUBTFUL,
+            "answers come, and",
+            "all telemetry",
+        ),
+        ("tcp://h:1", line._QUERY, ACK, False, "TELEMETRY", DOUBTFUL, "answers", "all"),
+    ],
+)
+async def test_a_line_is_judged_by_the_first_stage_that_fails(
+    url: str,
+    said: bytes,
+    answer: bytes,
+    closes: bool,
+    stage: str,
+    verdict: Verdict,
+    seen: str,
+    cause: str,
+    machine: FakeMachine,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    asked: list[bytes] = []
+
+    def answered(question: bytes) -> bytes:
+        asked.append(question)
+        return answer
+
+    Bench(monkeypatch, machine, url).speak(said, answered, closes=closes)
+    *before, found = await line.look_at_line(parse_url(url))
+    order = [Stage.OPENING, Stage.BYTES, Stage.FRAMES, Stage.TELEMETRY]
+    assert [one.stage for one in before] == order[: order.index(Stage[stage])]
+    assert (found.stage, found.verdict) == (Stage[stage], verdict)
+    assert all(one.verdict in (GOOD, DOUBTFUL) for one in before)
+    assert seen in found.seen
+    assert "".join(found.causes[:1]).startswith(cause)
+    assert closes or asked[:2] == [line._QUERY] * 2, "the version is asked for twice"
+
+
+@pytest.mark.parametrize(
+    ("error", "stage"), [(PortBusy("in use", remedy="end it"), Stage.OPENING), (BadURL("no"), None)]
+)
+async def test_a_line_that_does_not_open_is_a_finding_but_for_a_wrong_request(
+    error: M100Error, stage: Stage | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def open_ear(_: ConnectionString) -> Any:
+        raise error
+
+    monkeypatch.setattr(line, "open_ear", open_ear)
+    if stage is None:
+        with pytest.raises(BadURL):
+            await line.look_at_line(parse_url("tcp://h:1"))
+        return
+    [found] = await line.look_at_line(parse_url("tcp://h:1"))
+    assert (found.stage, found.verdict, found.seen, found.error) == (stage, FAILED, "in use", error)
+    assert (found.causes, found.commands) == ((), ("end it",))
 
 
 # -- first contact --------------------------------------------------------------------------------
@@ -789,6 +882,92 @@ async def test_control_is_given_back_when_the_aircraft_says_so(
         else "the aircraft may still have it with this program: put the switch to P"
     ]
     assert told == seen
+
+
+@pytest.mark.parametrize("way", ["ends", "is cut off", "fails", "is cancelled"])
+async def test_however_a_first_contact_ends_it_is_kept_and_the_aircraft_closed(
+    way: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    steps: list[str] = []
+
+    async def hold(one: Any, _credentials: object) -> None:
+        one.contact.firmware = "3.1"
+        if way == "is cut off":
+            raise LinkLost("serial:///dev/ttyUSB7 went away")
+        if way == "fails":
+            raise ZeroDivisionError
+        try:
+            await asyncio.sleep(0.0 if way == "ends" else 60.0)
+        except asyncio.CancelledError:
+            await asyncio.sleep(2.0)  # control goes back first
+            steps.append("given back")
+            raise
+
+    async def aclose() -> None:
+        steps.append("closed")
+
+    async def open_aircraft(_: object) -> Any:
+        link = SimpleNamespace(clock=asyncio.get_running_loop().time)
+        return SimpleNamespace(
+            link=link, _telemetry=SimpleNamespace(acceleration=None), aclose=aclose
+        )
+
+    async def ask(_: str) -> bool:
+        return True
+
+    kept: list[Contact] = []
+    monkeypatch.setattr(_Meeting, "hold", hold)
+    meet = asyncio.ensure_future(
+        first_contact.first_contact(
+            "tcp://h:1", ask=ask, open_aircraft=open_aircraft, keep=kept.append
+        )
+    )
+    await asyncio.sleep(0.1)
+    if way == "is cancelled":
+        meet.cancel()
+    await asyncio.wait([meet])
+    assert steps == (["given back", "closed"] if way == "is cancelled" else ["closed"])
+    assert [one.firmware for one in kept] == ["3.1"]
+    assert meet.cancelled() is (way == "is cancelled")
+    ended = {"is cancelled": "it was interrupted", "is cut off": "the line went away (LinkLost)"}
+    assert (kept[0].ended_by, kept[0].is_cut_off) == (ended.get(way, ""), way == "is cut off")
+    if way in ("ends", "is cut off"):
+        assert meet.result() is kept[0]
+    elif way == "fails":
+        assert isinstance(meet.exception(), ZeroDivisionError)
+
+
+@pytest.mark.parametrize(
+    ("rates", "has_accelerated", "found", "seen"),
+    [
+        ({}, True, "as in the document", ""),
+        ({"battery": 0, "rc": 100}, True, "rc 100, battery 0", "rc 100"),
+        # Values that cannot be read yet are in no sample.
+        ({"acceleration": 0}, True, "as in the document", ""),
+        ({"acceleration": 0}, False, "acceleration 0", ""),
+        (
+            dict.fromkeys((one.name for one in BY_RECORD.values()), 0),
+            False,
+            None,
+            "no item arrives",
+        ),
+    ],
+)
+def test_items_that_come_at_another_rate_are_named_and_absent_ones_are_not_listed(
+    rates: dict[str, int], has_accelerated: bool, found: str | None, seen: str
+) -> None:
+    usual = {one.name: one.rate_hz for one in BY_RECORD.values()}
+    one, told = meeting(
+        _aircraft=SimpleNamespace(firmware=PROFILES["1.0"]),
+        _reader=SimpleNamespace(has_arrived=has_accelerated),
+        _rate_of=lambda record: (usual | rates)[BY_RECORD[record].name],
+    )
+    _Meeting._rates(one)
+    [(topic, what, figures)] = told
+    assert topic is Topic.ITEM_RATES
+    assert found is None or sorted(what.split(", ")) == sorted(found.split(", "))
+    here = {name: rate for name, rate in (usual | rates).items() if rate}
+    assert figures == (", ".join(f"{name} {rate}" for name, rate in here.items()) or seen)
 
 
 def test_each_limit_is_as_agreed() -> None:
