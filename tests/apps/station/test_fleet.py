@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, ExitStack, asynccontextmanager
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -13,6 +15,7 @@ import pytest
 
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.messages import LeaseChanged
+from m100link.apps.fleet.identity import nobody
 from m100link.apps.fleet.keys import Keys
 from m100link.apps.station import fleet as module
 from m100link.apps.station.config import Settings
@@ -167,3 +170,163 @@ def test_the_order_log_of_an_agent_that_ended_can_be_opened_again(tmp_path: Path
             with pytest.raises(UsageError, match="another agent has it"):
                 module._order_log(cast("AsyncExitStack", then), fleet, keys)
         assert module._order_log(cast("AsyncExitStack", then), fleet, keys) is not log
+
+
+# -- what the agent of an aircraft is given, and what is served beside it --------------------------
+
+
+class Given(SimpleNamespace):
+    """What something was made with."""
+
+    def __init__(self, *what: Any, **more: Any) -> None:
+        super().__init__(what=what, **more)
+
+    async def run(self) -> None:
+        await anyio.sleep(3600.0)
+
+    async def flush(self) -> None:
+        self.is_flushed = True
+
+
+class OwnedAgent(Given):
+    """An agent of a fleet that owns nothing."""
+
+    boot, duplicates, note_order, shut_out = "run 7", "names", "note order", "agent shut out"
+
+    def __init__(self, client: Any, bus: Any, keys: Keys, order_log: Any, **more: Any) -> None:
+        super().__init__(order_log=order_log, bus=bus, keys=keys, alone=0, **more)
+        self.client = client
+        self.audit = more.get("audit", "no audit")
+
+    async def require_alone(self) -> None:
+        self.alone += 1
+
+
+class Shown(Given):
+    """The service of shows, whose aircraft may be shut out."""
+
+    def shut_out(self, since: Any) -> str:
+        return f"show shut out by {since}"
+
+
+@pytest.mark.parametrize("is_kept", [False, True])
+async def test_an_agent_of_a_fleet_has_what_the_settings_say(
+    is_kept: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: dict[str, list[Any]] = {}
+    owned: list[tuple[Any, dict[str, Any]]] = []
+    told: list[tuple[str, str]] = []
+
+    def making(kind: type[Any], name: str) -> Any:
+        def make(*what: Any, **more: Any) -> Any:
+            made.setdefault(name, []).append(one := kind(*what, **more))
+            return one
+
+        return make
+
+    @asynccontextmanager
+    async def owning(settings: Settings, **more: Any) -> AsyncIterator[Any]:
+        owned.append((settings, more))
+        yield SimpleNamespace(service=SimpleNamespace(attach=lambda _: None))
+
+    @asynccontextmanager
+    async def client(_: object, name: str) -> AsyncIterator[Any]:
+        assert name == "fleet"
+        yield SimpleNamespace(events=["before"], on_event=[], note="client note")
+
+    @asynccontextmanager
+    async def open_fleet(mode: str, **more: Any) -> AsyncIterator[str]:
+        made["bus"] = [(mode, more)]
+        yield "bus"
+
+    for name in ("AuditLog", "StatePublisher", "LogService", "RevocationService"):
+        monkeypatch.setattr(module, name, making(Given, name))
+    monkeypatch.setattr(module, "ShowService", making(Shown, "ShowService"))
+    monkeypatch.setattr(module, "FleetAgent", making(OwnedAgent, "FleetAgent"))
+    for name, fake in (("owning", owning), ("AgentClient", client), ("open_fleet", open_fleet)):
+        monkeypatch.setattr(module, name, fake)
+    revocations: Any = SimpleNamespace(since="since")
+    seal: Any = SimpleNamespace(audit="seal")
+    verify: Any = "verify"
+    fleet = FleetSettings(("tcp/h:1",), SITE, log_rate=5e5)
+    if is_kept:
+        fleet = replace(
+            fleet, order_logs=tmp_path, seals={"a1": seal}, verify=verify, revocations=revocations
+        )
+    aircraft = {
+        "a1": Settings(record=tmp_path / "f1"),
+        "a2": Settings(record=tmp_path / "f2", no_record=True),
+    }
+    serving: Any = module.serving_fleet(aircraft, fleet, lambda *what: told.append(what), place=3)
+    async with serving as agents:
+        assert list(agents) == ["a1", "a2"]
+        for name, agent in agents.items():
+            agent.client.on_event[0](f"later {name}")
+    assert told == [("a1", "before"), ("a2", "before"), ("a1", "later a1"), ("a2", "later a2")]
+    [(mode, how)] = made["bus"]
+    assert (mode, how["connect"], how["is_patient"]) == ("client", ("tcp/h:1",), True)
+    assert [more["place"] for _, more in owned] == [3, 4]
+    one, other = made["FleetAgent"]
+    assert (one.alone, other.alone) == (1, 1)
+    assert (one.keys, other.keys) == (Keys(SITE, "a1"), Keys(SITE, "a2"))
+    assert one.order_log is not other.order_log
+    before = [more["leases_before"] for _, more in owned]
+    assert before == [one.order_log.leases_before, other.order_log.leases_before]
+    folders = [agent.disks.args[0] for agent in (one, other)]
+    own = [tmp_path] if is_kept else []
+    assert folders == [[*own, tmp_path / "f1"], own], "where nothing is recorded none is needed"
+    assert one.revoked == ("since" if is_kept else nobody)
+    assert other.audit == "no audit"
+    audits = made.get("AuditLog", [])
+    assert audits == ([one.audit] if is_kept else [])
+    for audit in audits:
+        assert audit.what == (tmp_path / SITE / "a1.audit", "seal", time.time)
+        assert audit.is_flushed
+    if is_kept:
+        assert (tmp_path / SITE / "a1.jsonl").exists()
+    logs = made["LogService"]
+    assert [log.what[2] for log in logs] == [tmp_path / "f1", None]
+    assert [(log.rate, log.audit) for log in logs] == [(5e5, one.audit), (5e5, "no audit")]
+    shows = made["ShowService"]
+    assert shows[0].beside is shows[1].beside, "of one process"
+    for show in shows:
+        assert (show.names, show.note) == ("names", "note order")
+        assert show.what[3] == "run 7"
+    for what in (one, *logs[:1], *shows[:1]):
+        assert what.verify == ("verify" if is_kept else None)
+    services = made.get("RevocationService", [])
+    assert len(services) == (2 if is_kept else 0)
+    for service in services:
+        assert (service.what[3], service.note) == (revocations, "client note")
+        assert service.shut_out[0] == "agent shut out"
+        assert service.shut_out[1]() == "show shut out by since"
+
+
+@pytest.mark.parametrize(
+    ("left_mb", "seen"),
+    [
+        (0.9, "full disk: 1 MB are left for"),
+        (1.0, "no log space: 1 MB are left for"),
+        (49.0, "no log space: 49 MB are left for"),
+        (50.0, None),
+        (None, "cannot be read: Stale file handle"),
+    ],
+)
+def test_a_disk_has_room_for_a_flight(
+    left_mb: float | None, seen: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    looked: list[Path] = []
+
+    def usage(path: Path) -> Any:
+        looked.append(path)
+        if left_mb is None:
+            raise OSError(116, "Stale file handle")
+        return SimpleNamespace(free=1e9 if path == tmp_path else int(left_mb * 1e6))
+
+    monkeypatch.setattr("shutil.disk_usage", usage)
+    (there := tmp_path / "there").mkdir()
+    found = module.room([tmp_path, there / "not" / "yet"] if left_mb is not None else [there])
+    assert looked[-1] == there, "the nearest folder that exists"
+    assert (found is None) is (seen is None)
+    assert seen is None or (found is not None and seen in found.seen)
+    assert module.room([]) is None
