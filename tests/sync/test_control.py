@@ -1,27 +1,30 @@
 from __future__ import annotations
 
+import asyncio
 import os
 import signal
 import sys
 import threading
 import time
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from itertools import count
 from pathlib import Path
 from random import Random
-from types import FrameType
-from typing import Any
+from types import FrameType, SimpleNamespace
+from typing import Any, cast
 
 import pytest
 
 from m100link import (
+    AckTimeout,
     AuthorityLost,
     AuthorityState,
     Credentials,
     Envelope,
     Finished,
     Guards,
+    LinkLost,
     MissionKind,
     MissionProgress,
     MissionRunning,
@@ -39,6 +42,8 @@ from m100link import (
 )
 from m100link.flight.authority import AuthorityInput
 from m100link.flight.stop_path import StopAction
+from m100link.sync import control as control_module
+from m100link.sync.control import Hold
 from tests.flight.foreign_aircraft import APP_ID, KEY, ForeignAircraft, foreign_aircraft
 from tests.flight.missions.foreign import plan
 from tests.waiting import PATIENCE
@@ -309,6 +314,162 @@ def connected(there: ForeignAircraft) -> sync.Aircraft:
     aircraft.activate(Credentials(app_id=APP_ID, key=KEY))
     aircraft.wait_for(lambda state: state.flight_status is not None, timeout=PATIENCE)
     return aircraft
+
+
+# -- what a block does where its call ends otherwise: without an aircraft --------------------------
+
+
+class Door(SimpleNamespace):
+    """A portal whose calls that wait end as they are told; ``steps``: what it was asked."""
+
+    def __init__(self, *ends: BaseException | None) -> None:
+        super().__init__(ends=list(ends), steps=list[str](), is_open=True)
+
+    def wait(self, make: Callable[[Any], Any]) -> Any:
+        self.steps.append("wait")
+        end = self.ends.pop(0) if self.ends else None
+        if end is not None:
+            raise end
+        return asyncio.run(self._of(make))
+
+    @staticmethod
+    async def _of(make: Callable[[Any], Any]) -> Any:
+        return await make(None)
+
+    def soon_await(self, make: Any) -> None:
+        self.steps.append(f"soon {make.__name__}")
+
+    def soon(self, function: Any) -> None:
+        function()
+
+    def call(self, function: Any, *what: Any) -> Any:
+        return function(*what)
+
+
+@pytest.mark.parametrize(
+    ("end", "leaves"),
+    [(None, False), (UsageError("no"), False), (KeyboardInterrupt(), True), (SystemExit(), True)],
+)
+def test_a_block_that_may_have_been_entered_all_the_same_is_left(
+    end: BaseException | None, leaves: bool
+) -> None:
+    steps: list[str] = []
+
+    class Made:
+        async def __aenter__(self) -> str:
+            steps.append("entered")
+            return "one"
+
+        async def __aexit__(self, *error: object) -> None:
+            steps.append(f"left {error[0]}")
+
+    door: Any = Door(end)
+    block = Hold(door, lambda _: cast(Any, Made()))
+    assert repr(block) == "<Hold, not entered>"
+    if end is None:
+        with block:
+            assert repr(block) == "'one'"
+        assert steps == ["entered", "left None"]
+        with pytest.raises(ZeroDivisionError), block:
+            raise ZeroDivisionError
+        assert steps[2:] == ["entered", f"left {ZeroDivisionError}"]
+        block.__enter__()
+        door.ends = [KeyboardInterrupt()]
+        with pytest.raises(KeyboardInterrupt):
+            block.__exit__(None, None, None)
+        assert door.steps[-1] == "soon _leave"
+        return
+    with pytest.raises(type(end)):
+        block.__enter__()
+    assert door.steps == ["wait", "soon _leave"][: 1 + leaves]
+
+
+@pytest.mark.parametrize(
+    ("call", "end", "interrupts", "leaves"),
+    [
+        *(("obtain", None, False, False), ("obtain", UsageError("no"), False, True)),
+        *(("obtain", KeyboardInterrupt(), True, True), ("release", None, False, True)),
+        *(("release", UsageError("no"), True, True), ("release", SystemExit(), True, True)),
+    ],
+)
+@pytest.mark.parametrize("handles_signals", [True, False])
+def test_control_that_may_be_held_all_the_same_is_ended(
+    call: str,
+    end: BaseException | None,
+    interrupts: bool,
+    leaves: bool,
+    handles_signals: bool,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    steps: list[str] = []
+    watched = SimpleNamespace(
+        join=lambda _: steps.append("join"), leave=lambda _: steps.append("leave")
+    )
+    monkeypatch.setattr(control_module, "SIGNALS", watched)
+
+    async def done() -> None:
+        steps.append("done")
+
+    held: Any = SimpleNamespace(
+        obtain=done, release=done, interrupt=lambda: steps.append("interrupt")
+    )
+    door: Any = Door(end)
+    control = control_module.Control(door, held, handle_signals=handles_signals)
+    if end is None:
+        assert getattr(control, call)() is (control if call == "obtain" else None)
+    else:
+        with pytest.raises(type(end)):
+            getattr(control, call)()
+    wanted = ["join"] if call == "obtain" and handles_signals else []
+    wanted += ["done"] if end is None else []
+    wanted += ["interrupt"] if interrupts else []
+    assert steps == wanted + (["leave"] if leaves else [])
+
+
+@pytest.mark.parametrize("met", [None, ZeroDivisionError()])
+def test_the_end_of_a_block_hides_no_error_of_the_block(met: Exception | None) -> None:
+    held: Any = SimpleNamespace(interrupt=lambda: None, is_flying=True)
+    door: Any = Door(UsageError("no"))
+    control = control_module.Control(door, held, handle_signals=False)
+    with nullcontext() if met else pytest.raises(UsageError):
+        control.__exit__(None, met, None)
+
+
+def test_a_mission_tells_its_events_until_there_are_no_more() -> None:
+    told = iter([Reached(0), Reached(1)])
+
+    class Flight(SimpleNamespace):
+        async def __anext__(self) -> Any:
+            for event in told:
+                return event
+            raise StopAsyncIteration
+
+    door: Any = Door()
+    mission = control_module.MissionFlight(door, cast(Any, None))
+    mission._entered = Flight()
+    assert list(mission) == [Reached(0), Reached(1)]
+
+
+@pytest.mark.parametrize(
+    ("end", "raised", "seen"),
+    [
+        (TimeoutError(), TelemetryStalled, "no value came for 0.2 s"),
+        (AckTimeout("of the link"), AckTimeout, "of the link"),
+        (StopAsyncIteration(), StopIteration, "^$"),
+        (LinkLost("gone"), LinkLost, "gone"),
+    ],
+)
+def test_a_value_that_is_queued_is_not_waited_for_and_none_has_its_error(
+    end: Exception, raised: type[Exception], seen: str
+) -> None:
+    queued = [7, None]
+    values: Any = SimpleNamespace(get_nowait=lambda: queued.pop(0))
+    door: Any = Door(end)
+    subscription = control_module.Subscription[int](door, values, 0.2)
+    assert next(subscription) == 7
+    assert door.steps == []
+    with pytest.raises(raised, match=seen):
+        next(subscription)
 
 
 @pytest.mark.pty

@@ -152,6 +152,19 @@ def test_the_first_signal_in_a_stop_path_acts_behind_it(watch: SyncSignals) -> N
     watch.leave(block)  # once
 
 
+def test_a_signal_in_a_stop_path_acts_behind_the_last_one(watch: SyncSignals) -> None:
+    first, last = Block(), Block()
+    for block in (first, last):
+        watch.join(block)
+        block.is_flying, block.is_stopping = False, True
+    signal.raise_signal(signal.SIGINT)
+    first.end()
+    watch.leave(first)
+    last.end()
+    with pytest.raises(KeyboardInterrupt):
+        watch.leave(last)
+
+
 def test_a_second_signal_before_the_stop_path_began_does_nothing(watch: SyncSignals) -> None:
     block = Block()
     watch.join(block)
