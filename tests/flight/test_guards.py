@@ -572,16 +572,20 @@ class Stand:
         height: Above the take-off point, m.
         percent: Charge.
         gps_health: From 0 to 5.
+        unknown: Items that have never come.
     """
 
     def __init__(self, guards: Guards) -> None:
         self.start = LocalFrame(-33.0, 151.2)
         self.place, self.heading, self.height, self.percent = (0.0, 0.0), 0.0, 5.0, 90
         self.gps_health = 5
+        self.unknown: tuple[type[Any], ...] = ()
         self.keeper = GuardKeeper(guards, cast(AircraftState, self), self.start)
 
     def fresh(self, record: type[Any], *, within: float) -> Any:
         del within
+        if record in self.unknown:
+            return None
         if record is Battery:
             return Battery(self.percent)
         if record is Attitude:
@@ -591,12 +595,18 @@ class Stand:
         latitude, longitude = map(math.radians, self.start.to_geodetic(*self.place))
         return Position(latitude, longitude, 400.0, self.height, self.gps_health)
 
-    def is_refused(self, check: Callable[[], None]) -> bool:
+    def age(self, record: type[Any]) -> float | None:
+        return None if record in self.unknown else 0.0
+
+    def refused_by(self, check: Callable[[], None]) -> str | None:
         try:
             check()
-        except GuardRefused:
-            return True
-        return False
+        except GuardRefused as error:
+            return error.guard
+        return None
+
+    def is_refused(self, check: Callable[[], None]) -> bool:
+        return self.refused_by(check) is not None
 
 
 def along(bearing: float, size: float) -> tuple[float, float]:
@@ -728,6 +738,41 @@ def test_a_mission_is_ended_5_m_beyond_the_envelope(
     with pytest.raises(GuardRefused, match="the mission") as caught:
         stand.keeper.check_mission("the mission")
     assert (caught.value.measured, caught.value.limit) == pytest.approx(refused, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("check", "by_gps", "without_gps"),
+    [
+        (lambda keeper: keeper.check_mission("the mission"), "envelope", "envelope"),
+        (lambda keeper: keeper.check(velocity(north=1.0)), "gps", "envelope"),
+        (lambda keeper: keeper.check(velocity()), "gps", None),  # it stands still
+        (lambda keeper: keeper.check(CLIMB), "gps", "envelope"),
+        (lambda keeper: keeper.check(velocity(up=-1.0)), "gps", None),
+        (lambda keeper: keeper.check(OFFSET), "gps", "envelope"),
+        (lambda keeper: keeper.check(TILT), "envelope", "envelope"),
+        (lambda keeper: keeper.check(CLIMB_BY_TILT), "envelope", "envelope"),
+        (lambda keeper: keeper.check(THRUST), "envelope", "envelope"),
+        (lambda keeper: keeper.check_sticks(0.0, 0.0, 0.5, 0.0), "gps", "envelope"),
+        (lambda keeper: keeper.check_sticks(0.1, 0.0, 0.0, 0.0), "gps", "envelope"),
+    ],
+)
+def test_a_value_that_a_guard_compares_and_nobody_knows_is_refused(
+    check: Callable[[GuardKeeper], None], by_gps: str, without_gps: str | None
+) -> None:
+    """By the name of that guard; the others, and one that is off, do not ask for the value."""
+    floor, place = "battery_floor_percent", Position
+    for guards, unknown, expected in (
+        (Guards(), place, by_gps),
+        (Guards(gps=False), place, without_gps),
+        (Guards(gps=False, envelope=None), place, None),
+        (Guards(), Battery, floor),
+        (Guards(gps=False, envelope=None), Battery, floor),
+        (Guards(battery_floor_percent=None), Battery, None),
+        (Guards(), Attitude, None),
+    ):
+        stand = Stand(guards)
+        stand.unknown = (unknown,)
+        assert stand.refused_by(partial(check, stand.keeper)) == expected, (guards, unknown)
 
 
 @pytest.mark.parametrize(
