@@ -353,6 +353,23 @@ def test_what_a_cut_off_turn_left_comes_when_reading_goes_on(bench: Bench) -> No
     assert bench.protocol.received == [b"left"]
 
 
+@pytest.mark.parametrize("end", [SerialTransport.close, SerialTransport.abort])
+def test_nothing_comes_after_the_end_that_the_protocol_asked_for(
+    bench: Bench, end: Callable[[SerialTransport], None]
+) -> None:
+    def take(data: bytes) -> None:
+        bench.protocol.received.append(data)
+        end(bench.transport)
+
+    bench.protocol.data_received = take  # type: ignore[method-assign]
+    bench.transport.pause_reading()
+    bench.transport._arrived += [b"left", b"over", b""]
+    bench.transport.resume_reading()
+    bench.loop.run()
+    assert bench.protocol.received == [b"left"]
+    assert bench.protocol.told[-1] == "lost"
+
+
 def test_an_error_of_the_protocol_is_the_loops_and_the_bytes_are_gone(bench: Bench) -> None:
     def fail(data: bytes) -> None:
         bench.protocol.received.append(data)
