@@ -7,7 +7,14 @@ from pathlib import Path
 
 import pytest
 
-from m100link.errors.texts import printable, read_json, read_path, read_toml, shortened
+from m100link.errors.texts import (
+    printable,
+    read_json,
+    read_path,
+    read_toml,
+    shortened,
+    without_nan,
+)
 from tests import limits
 from tests.test_house import PACKAGE, ROOT
 
@@ -34,6 +41,13 @@ from tests.test_house import PACKAGE, ROOT
 def test_what_is_wrong_with_json_is_a_value_error(text: str | bytes) -> None:
     with pytest.raises(ValueError, match=r"."):
         read_json(text)
+
+
+def test_json_has_null_for_what_is_no_number() -> None:
+    inf = float("inf")
+    value = {"a": float("nan"), 2: (inf, -inf, -2.5), "c": [True, None, "nan", {"d": inf}]}
+    plain = {"a": None, "2": [None, None, -2.5], "c": [True, None, "nan", {"d": None}]}
+    assert without_nan(value) == plain
 
 
 def test_json_is_read_as_it_is_meant() -> None:

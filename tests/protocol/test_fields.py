@@ -149,6 +149,24 @@ def test_single_numbers_are_found_by_their_names_the_halves_of_a_byte_too() -> N
     }
 
 
+def test_a_number_without_a_documented_range_ends_where_its_type_does() -> None:
+    """By the standard sizes of struct, and IEEE 754."""
+    single, double = 2.0**127 * (2 - 2.0**-23), 2.0**1023 * (2 - 2.0**-52)
+    ends: dict[str, tuple[float, float]] = {
+        "b": (-0x80, 0x7F),
+        "B": (0, 0xFF),
+        "h": (-0x8000, 0x7FFF),
+        "H": (0, 0xFFFF),
+        "i": (-0x8000_0000, 0x7FFF_FFFF),
+        "I": (0, 0xFFFF_FFFF),
+        "f": (-single, single),
+        "d": (-double, double),
+    }
+    assert {letter: Number("", letter).bounds for letter in ends} == ends
+    for letter, (low, high) in ends.items():
+        assert Number("", letter, low / 2, high / 2).bounds == (low / 2, high / 2)
+
+
 def test_words_halves_and_places_end_where_the_documents_end_them() -> None:
     """A number behind the last word is shown as it came; a half has four bits, a latitude 90°."""
     layout = parts.Layout(parts.Number("kind", words=("a", "b")), parts.Nibbles("low", "high"))

@@ -203,8 +203,9 @@ def test_a_mismatch_names_the_firmware_that_would_fit(speaks: str, expected: str
 @pytest.mark.parametrize("value", [b"", b"\x00"])
 def test_a_value_without_a_flag_word_is_refused(value: bytes) -> None:
     assert fitting_profiles(value) == []
-    with pytest.raises(LayoutMismatch, match="flag word"):
+    with pytest.raises(LayoutMismatch, match="flag word") as caught:
         TelemetryPacket(value, profile("3.1"))
+    assert (caught.value.cause, caught.value.remedy) == ("", "compare the firmware version")
 
 
 @pytest.mark.parametrize("bit", range(len(ITEMS), 16))
