@@ -198,9 +198,9 @@ def _way(
     if here is None:
         return 0.0, 0.0
     climb = height - here.height_m
-    if place is None or not abs(here.latitude_deg) <= 89:
+    if place is None:
         return 0.0, climb
-    frame = LocalFrame(here.latitude_deg, here.longitude_deg)
+    frame = LocalFrame(here.latitude_deg, here.longitude_deg)  # what is known is within ±89°
     return math.hypot(*frame.to_local(*place)), climb
 
 
