@@ -575,12 +575,12 @@ class Stand:
         unknown: Items that have never come.
     """
 
-    def __init__(self, guards: Guards) -> None:
+    def __init__(self, guards: Guards, latency: Any = None) -> None:
         self.start = LocalFrame(-33.0, 151.2)
         self.place, self.heading, self.height, self.percent = (0.0, 0.0), 0.0, 5.0, 90
         self.gps_health = 5
         self.unknown: tuple[type[Any], ...] = ()
-        self.keeper = GuardKeeper(guards, cast(AircraftState, self), self.start)
+        self.keeper = GuardKeeper(guards, cast(AircraftState, self), self.start, latency)
 
     def fresh(self, record: type[Any], *, within: float) -> Any:
         del within
@@ -773,6 +773,38 @@ def test_a_value_that_a_guard_compares_and_nobody_knows_is_refused(
         stand = Stand(guards)
         stand.unknown = (unknown,)
         assert stand.refused_by(partial(check, stand.keeper)) == expected, (guards, unknown)
+
+
+@pytest.mark.parametrize(
+    ("setpoint", "height", "measured"),
+    [
+        (velocity(north=3.0), 5.0, 48.0 + 0.7 * 3.0),
+        (velocity(north=2.8), 5.0, None),
+        (velocity(north=-9.0), 5.0, None),
+        (Setpoint.position_offset(north=1.5, east=0, up=0, yaw_rate_deg_s=0), 5.0, 50.55),
+        (Setpoint.position_offset(north=1.1, east=0, up=0, yaw_rate_deg_s=0), 5.0, None),
+        # Offsets are flown at 5 m/s at most.
+        (Setpoint.position_offset(north=-5, east=-17, up=0, yaw_rate_deg_s=0), 5.0, None),
+        (Setpoint.position_offset(north=-5, east=-22, up=0, yaw_rate_deg_s=0), 5.0, 51.81),
+        (velocity(up=3.0), 48.0, 48.0),  # to 50.1 m
+        (velocity(up=2.8), 48.0, None),
+        (velocity(up=-3.0), 50.5, None),
+    ],
+)
+def test_on_a_slow_line_what_is_flown_meanwhile_counts(
+    setpoint: Setpoint, height: float, measured: float | None
+) -> None:
+    """50 m high and wide; 48 m north of the start, and 0.7 s pass until a refusal is felt."""
+    guards = Guards(envelope=Envelope(max_height_m=50.0, max_radius_m=50.0))
+    for is_slow in (True, False):  # of a quick line nothing is added
+        stand = Stand(guards, SimpleNamespace(round_trip_s=0.7, is_slow=is_slow))
+        stand.place, stand.height = (48.0, 0.0), height
+        if measured is None or not is_slow:
+            stand.keeper.check(setpoint)
+            continue
+        with pytest.raises(GuardRefused) as caught:
+            stand.keeper.check(setpoint)
+        assert caught.value.measured == pytest.approx(measured, abs=0.02)
 
 
 @pytest.mark.parametrize(
