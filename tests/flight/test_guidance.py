@@ -12,8 +12,10 @@ from typing import Any, cast
 
 import pytest
 
-from m100link.errors import TelemetryStalled
+from m100link.errors import TelemetryStalled, UsageError
+from m100link.flight import guidance
 from m100link.flight.guidance import (
+    Guidance,
     GuidanceProgress,
     _has_moved,
     _Settling,
@@ -195,3 +197,43 @@ def test_where_it_is_has_to_be_known_since_half_a_second(
         position_of(state)
     with pytest.raises(TelemetryStalled, match="heading"):
         heading_of(state)
+
+
+@pytest.mark.anyio
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        ({"flying": "orbit"}, "another closed loop is flying: orbit"),
+        ({"stands": True}, "it stands"),
+        ({"old": 0.0}, ""),
+        ({}, ""),  # no newer place in half a second: the loop says so
+    ],
+)
+async def test_what_changes_while_a_loop_waits_for_its_place_refuses_it(
+    change: dict[str, Any], why: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def require_in_the_air(state: Any, name: str) -> None:
+        if getattr(state, "stands", False):
+            raise UsageError(f"{name}: it stands")
+
+    async def hover() -> None:
+        """Nobody asks for it."""
+
+    monkeypatch.setattr(guidance, "require_in_the_air", require_in_the_air)
+    clock = asyncio.get_running_loop().time
+    state: Any = State(at(), age=0.6)
+    flown_by = Guidance(state, steer=FAST.__eq__, hover=hover)
+    begun_at, waiting = clock(), asyncio.create_task(flown_by.prepare("fly_to"))
+    await asyncio.sleep(0.1)
+    assert not waiting.done()
+    for name, value in change.items():
+        setattr(flown_by if name == "flying" else state, name, value)
+    if "old" not in change:
+        await asyncio.sleep(0.2)
+        assert not waiting.done()
+    if why:
+        with pytest.raises(UsageError, match=why):
+            await waiting
+    else:
+        await waiting
+    assert clock() - begun_at == pytest.approx(0.1 if "old" in change else 0.5, abs=0.05)

@@ -208,6 +208,7 @@ async def test_a_climb_and_a_turn_stay_in_their_place() -> None:
         ({"start_deg": 90.0}, (20.0, 20.0), -90.0),
         ({"radius": 12.0}, (8.0, 0.0), 0.0),
         ({"height": 15.0}, (0.0, 0.0), 0.0),
+        ({"height": 8.0}, (0.0, 0.0), 0.0),
     ],
 )
 async def test_a_circle_begins_where_it_is_or_where_somebody_wants_it(
@@ -247,6 +248,26 @@ async def test_a_circle_begins_where_it_is_or_where_somebody_wants_it(
     assert setpoint.mode == SPEED
     assert values[2:] == near((height, 0.0), abs=1e-3), "it looks at the centre, in the north"
     assert progress.heading_error_deg == near(540.0), "one turn and a half"
+    assert progress.distance_m == near(0.0, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    "frame", [None, LocalFrame(*HERE.to_geodetic(-100.0, 200.0))], ids=["from here", "in a frame"]
+)
+@pytest.mark.parametrize("center", [(12.0, -16.0), (-16.0, 12.0)])
+async def test_a_circle_around_a_place_goes_through_here_and_looks_at_it(
+    center: tuple[float, float], frame: LocalFrame | None
+) -> None:
+    one, place = Loops(), HERE.to_geodetic(*center)
+    north, east = center if frame is None else frame.to_local(*place)
+    await one.loops.orbit(center_north=north, center_east=east, frame=frame)
+    [checked] = one.guards.check_target.mock_calls
+    assert checked.args == ("orbit", near(place, abs=1e-8))
+    assert checked.kwargs == {"height": near(HEIGHT), "radius": near(20.0, abs=1e-3), "speed": 2.0}
+    [(name, *_)] = one.runs  # no approach
+    values, _, progress = one.step()
+    bearing = math.degrees(math.atan2(center[1], center[0]))
+    assert (name, values[3]) == ("orbit", near(bearing, abs=0.01))
     assert progress.distance_m == near(0.0, abs=1e-3)
 
 
