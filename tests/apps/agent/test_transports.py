@@ -241,6 +241,19 @@ async def test_a_front_without_an_agent_is_reported(tmp_path: Path) -> None:
     with pytest.raises(PortFailed):
         async with serve_unix(tmp_path / "none" / "agent.sock", lambda channel: None):
             pass
+    async with serve_unix(tmp_path / "agent.sock", lambda channel: None):
+        pass
+    with pytest.raises(PortNotFound):  # it has ended
+        await connect_unix(tmp_path / "agent.sock")
+
+
+async def test_who_listens_too_late_hears_of_the_end_all_the_same() -> None:
+    channel, end = UnixChannel(), End()
+    channel.connection_lost(None)
+    end.listen(channel)
+    assert (end.inbox, end.reasons) == ([], [""])
+    channel.connection_lost(None)
+    assert end.reasons == [""]
 
 
 async def test_a_mistake_with_one_message_does_not_end_the_reader(
