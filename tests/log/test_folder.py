@@ -348,6 +348,8 @@ def test_the_newest_stands_first_and_what_is_written_is_said(directory: Path) ->
     assert list(names) == [recorder.path.name, FIRST]
     assert (names[FIRST].size, names[FIRST].at, names[FIRST].is_written) == (300_000, 1000.0, False)
     assert names[recorder.path.name].is_written
+    [newest] = LogDirectory(directory).entries(1)
+    assert newest == names[recorder.path.name]
     recorder._end()
 
 

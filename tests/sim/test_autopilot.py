@@ -176,6 +176,20 @@ def test_reboot_forgets_stored_acks() -> None:
     assert len(host.acks(2, 0)) == 2
 
 
+def test_an_aircraft_that_restarts_hears_nothing_and_says_nothing() -> None:
+    host = Host()
+    host.activate()
+    host.aircraft.reboot()
+    host.frames.clear()
+    host.send(VERSION, session=2, sequence=9)
+    host.send(SendToMobile(b"1").encode(host.profile), session=0)
+    host.wait(0.5)
+    assert (host.frames, list(host.aircraft.app.received)) == ([], [])
+    host.wait(4.0)
+    assert host.frames
+    assert host.acks(2, 9) == [], "what was sent meanwhile is lost"
+
+
 def test_an_ack_has_session_and_sequence_of_its_command_and_no_set_and_id() -> None:
     host = Host()
     host.send(VERSION, session=17, sequence=54321)
