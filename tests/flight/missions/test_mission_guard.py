@@ -27,10 +27,13 @@ from m100link import (
     WaypointPlan,
 )
 from m100link.flight.authority import AuthorityState
+from m100link.flight.mission_state import MissionWatch
+from m100link.flight.missions.events import IN_THE_AIR, ORDERS, OWES_A_STOP, RunState
 from m100link.flight.missions.mission_guard import MissionGuard
 from m100link.flight.stop_path import StopAction
 from m100link.geodesy import LocalFrame
 from m100link.protocol.codes import MissionCode
+from m100link.protocol.commands.missions import HotpointStatus, IdleStatus, MissionStatus, Status
 from tests.flight.foreign_aircraft import ONBOARD, ForeignInMemory
 from tests.flight.missions.foreign import assert_rests, foreign, orders, plan
 from tests.rig import NORTH, Rig, rig
@@ -344,3 +347,132 @@ async def test_a_stop_that_is_carried_out_waits_for_two_pushes_only() -> None:
             began_at = flown.now
             await circle.stop()
             assert flown.now - began_at < 0.6
+
+
+# -- each state of ours, beside what is pushed of somebody else's ----------------------------------
+
+
+class Ours:
+    """A waypoint mission in a state, and what it is told."""
+
+    kind, name, started_at = MissionKind.WAYPOINT, MissionKind.WAYPOINT.value, 100.0
+    flies_all_the_same = False
+
+    def __init__(self, state: RunState) -> None:
+        self.state, self.told = state, list[str]()
+        self.is_in_the_air, self.owes_a_stop = state in IN_THE_AIR, state in OWES_A_STOP
+
+    async def order(self, what: str) -> None:
+        self.told.append(what)
+
+    async def stop(self) -> None:
+        self.told.append("stop")
+
+    async def stop_seen(self) -> None:
+        self.told.append("stop, seen")
+
+    def detach(self) -> None:
+        self.told.append("detach")
+
+
+class Beside:
+    """A guard with a mission of its own, or none, and pushes of somebody's hotpoint, or none."""
+
+    def __init__(self, state: RunState | None, *, is_pushed: bool) -> None:
+        self.now, self.sent = 100.2, list[Any]()
+        self.ours = None if state is None else Ours(state)
+        self.watch = MissionWatch(lambda: self.now)
+        if is_pushed:
+            self.push(HotpointStatus(1, radius_cm=1000), 100.0)
+            self.push(HotpointStatus(1, radius_cm=1000), 100.1)
+        loop = SimpleNamespace(time=lambda: self.now)
+        link = SimpleNamespace(loop=loop, latency=SimpleNamespace(slack_s=0.0))
+        commander = SimpleNamespace(missions=self.watch, link=link, requests=self)
+        commander.state = SimpleNamespace(fresh=lambda record, within=None: None)
+        self.guard = MissionGuard(cast(Any, commander))
+        self.guard._run = cast(Any, self.ours)
+
+    def push(self, status: Status, at: float) -> None:
+        self.watch.on_status(MissionStatus(status), at)
+
+    async def execute(self, request: Any, **_: object) -> MissionCode:
+        self.sent.append(request)
+        return MissionCode.SUCCESS
+
+
+@pytest.mark.parametrize("is_pushed", [True, False], ids=["pushed", "silent"])
+@pytest.mark.parametrize("state", [None, *RunState], ids=str)
+async def test_who_flies_what_is_owed_and_who_is_told(
+    state: RunState | None, *, is_pushed: bool
+) -> None:
+    """Ours while it may be in the air, else what is pushed, which is somebody else's."""
+    beside = Beside(state, is_pushed=is_pushed)
+    guard, ours = beside.guard, beside.ours
+    is_ours = state in IN_THE_AIR
+    flies = "waypoint mission" if is_ours else "hotpoint" if is_pushed else ""
+    assert guard.flying == flies
+    assert guard.is_of_another is (is_pushed and not is_ours)
+    owed = state is RunState.READY or state in OWES_A_STOP
+    assert guard.to_stop is (MissionKind.WAYPOINT if owed else None)
+    assert guard.lands_by_plan is (state is RunState.RETURNING)
+    assert guard.is_detached is (state is RunState.DETACHED)
+
+    for is_landing in (False, True):
+        # A landing is the last means against a mission that a stop did not end.
+        if flies and not (is_landing and state is RunState.UNSTOPPED):
+            with pytest.raises(MissionRunning, match=f"while a {flies} flies"):
+                guard.require_none("a take-off", is_landing=is_landing)
+        else:
+            guard.require_none("a take-off", is_landing=is_landing)
+
+    if is_ours:
+        assert ours is not None
+        assert await guard.order_any("pause") is MissionKind.WAYPOINT
+        assert await guard.stop_any() is await guard.stopped_any() is MissionKind.WAYPOINT
+        assert guard.detach_any() is MissionKind.WAYPOINT
+        assert ours.told == ["pause", "stop", "stop, seen", "detach"]
+        assert beside.sent == []
+    elif is_pushed:
+        hotpoint = ORDERS[MissionKind.HOTPOINT]
+        assert await guard.order_any("resumption") is MissionKind.HOTPOINT
+        assert guard.detach_any() is MissionKind.HOTPOINT
+        assert guard.is_detached
+        assert await guard.stop_any() is MissionKind.HOTPOINT
+        assert not guard.is_detached, "what was stopped is not left in flight"
+        assert beside.sent == [hotpoint.resumption, hotpoint.stop]
+    else:
+        with pytest.raises(UsageError, match="no mission flies"):
+            await guard.order_any("pause")
+        with pytest.raises(UsageError, match="no mission that could be detached"):
+            guard.detach_any()
+        assert beside.sent == []
+        await guard.stop_any()
+        assert beside.sent == [orders.stop for orders in ORDERS.values()]
+    assert ours is None or is_ours or ours.told == []
+
+
+@pytest.mark.parametrize("pushed_at", [100.0, 102.9, 103.1, 110.0])
+async def test_what_is_pushed_3_s_after_a_stop_is_another_mission(pushed_at: float) -> None:
+    beside = Beside(None, is_pushed=False)
+    beside.now = 100.0
+    await beside.guard.stop_any()
+    for at in (pushed_at, pushed_at + 0.1):
+        beside.push(HotpointStatus(1, radius_cm=1000), at)
+    beside.now = pushed_at + 0.2
+    is_of_another = pushed_at > 103.0
+    assert beside.guard.is_of_another is is_of_another
+    if is_of_another:
+        with pytest.raises(MissionRunning, match="a phone did"):
+            beside.guard.require_none("a landing", is_landing=True)
+    else:
+        beside.guard.require_none("a landing", is_landing=True)
+
+
+async def test_what_was_detached_is_left_in_flight_until_pushes_tell_its_end() -> None:
+    """A push of its first second may be from before its start."""
+    beside = Beside(RunState.DETACHED, is_pushed=False)
+    assert beside.guard.is_detached
+    for at, is_detached in ((100.5, True), (100.9, True), (101.1, False)):
+        beside.push(IdleStatus(), at)
+        beside.now = at + 0.1
+        assert beside.guard.is_detached is is_detached
