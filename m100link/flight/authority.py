@@ -240,9 +240,9 @@ class Authority:
 
     def observe(self, package: TelemetryPacket) -> None:
         """Cross-check with a package: the mode switch, then CTRL_DEVICE, where it carries them."""
-        plan = package._plan
-        value = plan.control(package.value)
-        known = self._known
+        plan, known = package._plan, self._known
+        take = plan.control
+        value = take(package.value)
         # Most packages say the same as the one before, and reading each was a third of its cost.
         # An observation follows from these bytes, this object's memory, and whether authority had
         # time to settle: where it changed nothing, the same bytes change nothing again.

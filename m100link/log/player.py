@@ -485,9 +485,7 @@ class ReplayedLink(Link):
     def decode(self, data: bytes, now: float) -> Sequence[Frame]:
         """The frames of a read, for :meth:`deliver`."""
         self.last_received_at = now
-        events: Sequence[Any] = self._endpoint.receive_data(data, now)
-        if self._endpoint.only_pushes:
-            return events
+        events = self._endpoint.receive_data(data, now)
         return [event for event in events if type(event) is Frame]
 
     def deliver(self, frame: Frame, now: float) -> None:

@@ -27,19 +27,15 @@ class Endpoint:
     Args:
         first_sequence: See :class:`~m100link.session.Sender`.
         forget_after: See :class:`~m100link.session.Receiver`.
-
-    Attributes:
-        only_pushes: The last bytes brought nothing but pushes, which leave nothing to write.
     """
 
-    __slots__ = ("_pushed", "decoder", "only_pushes", "receiver", "sender", "statistics")
+    __slots__ = ("_pushed", "decoder", "receiver", "sender", "statistics")
 
     def __init__(self, *, first_sequence: int = 0, forget_after: float | None = None) -> None:
         self.statistics = SessionStatistics()
         self.decoder = FrameDecoder()
         self.sender = Sender(first_sequence=first_sequence, statistics=self.statistics)
         self.receiver = Receiver(forget_after=forget_after, statistics=self.statistics)
-        self.only_pushes = True
         self._pushed: deque[bytes] = deque()
 
     @property
@@ -53,17 +49,16 @@ class Endpoint:
 
     def receive_data(self, data: bytes, now: float) -> Sequence[Event]:
         """Take bytes from the line; return what happened, in order. Nothing that arrives raises."""
-        frames = self.decoder.feed(data)
-        # A hundred pushes a second are most of what arrives: they are their own events, untouched.
+        return self.sort_out(self.decoder.feed(data), now)
+
+    def sort_out(self, frames: list[Frame], now: float) -> Sequence[Event]:
+        """The same of frames that were decoded."""
         for frame in frames:
             if frame[0] or frame[1]:  # session, is_ack: by name it takes twice as long
-                self.only_pushes = False
-                return self._sort_out(frames, now)
-        self.only_pushes = True
-        self.statistics.commands += len(frames)
-        return frames
-
-    def _sort_out(self, frames: list[Frame], now: float) -> list[Event]:
+                break
+        else:  # pushes, most of what arrives, are their own events
+            self.statistics.commands += len(frames)
+            return frames
         events: list[Event] = []
         for frame in frames:
             event: Event | None

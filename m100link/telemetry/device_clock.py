@@ -123,20 +123,23 @@ class DeviceClock:
         # Every package of every line comes by, so what is of one package alone stays in locals
         # until somebody else wants it.
         notes, self._notes = self._notes, []
+        if not notes:
+            return
         tick_hz, since, before = self.tick_hz, self._arrivals_since, self._silence
         last_tick, last_device, last_at = self._last_tick, self._device, self._received_at
         arrivals, newest = self._arrivals, self._newest
         slope, intercept = self._slope, self._intercept
         floor, floor_slope = self._floor
+        if last_tick is None:
+            last_tick = notes[0][0]
+            last_device = last_tick / tick_hz
         for tick, received_at in notes:
-            if last_tick is None:
-                step = tick
-            else:
-                step = tick - last_tick
-                if not 0 <= step < _HALF:  # it wrapped, or went back
-                    step &= _MASK
-                    step -= _WRAP if step >= _HALF else 0
-            device = last_device + step / tick_hz
+            step = tick - last_tick
+            if not 0 <= step < _HALF:  # it wrapped, or went back
+                step &= _MASK
+                step -= _WRAP if step >= _HALF else 0
+            gap = step / tick_hz
+            device = last_device + gap
             offset = received_at - device
             # The tick went back, or a package came before it can have been sent: the clock jumped.
             if step < 0 or offset < floor + floor_slope * device:
@@ -165,7 +168,7 @@ class DeviceClock:
             if silence > 0:
                 before = silence
             # This package follows sooner than its tick: the one before waited, and shows no delay.
-            if silence < (device - last_device) / 2 and arrivals:
+            if silence < gap / 2 and arrivals:
                 arrivals[-1] = (device, offset)
             else:
                 arrivals.append((device, offset))

@@ -68,7 +68,8 @@ class Notifications:
         if address == _TELEMETRY:
             requests = self._requests
             if requests.knows_layout:
-                self._on_telemetry(data[2:], requests.firmware, now)
+                receive = self._on_telemetry
+                receive(data[2:], requests.firmware, now)
             return
         taker = self._takers.get(address)
         if taker is not None:

@@ -30,6 +30,7 @@ R = TypeVar("R", bound=tuple[Any, ...])
 
 _WINDOW_S = 2.5  # long enough for the rate of an item at 1 Hz
 _ARRIVALS = 512  # twice what an item at 100 Hz has in that time
+_TRIMMED = 16  # after so many: of a thousand aircraft at 5 Hz, all of them would be 50 MB
 
 
 # -- how long a value is believed: one table for the guards, and for every front -------------------
@@ -111,6 +112,11 @@ class _Cell:
         # When the newest of them arrived, oldest first.
         self.arrivals: deque[float] = deque(maxlen=_ARRIVALS)
 
+    def trim(self) -> None:
+        """Forget the arrivals of which no rate is made any more."""
+        while self.received_at - self.arrivals[0] > _WINDOW_S:
+            self.arrivals.popleft()
+
     def split(self, items: int) -> _Cell:
         """Leave these items to a cell of their own; so far they came together with the others."""
         other = _Cell(items)
@@ -190,11 +196,9 @@ class AircraftState(RecordViews):
             cell.sample = sample
             cell.received_at = now
             cell.count += 1
-            arrivals = cell.arrivals
-            # Of a thousand aircraft at 5 Hz, what no rate is made of any more would be 50 MB.
-            if arrivals and now - arrivals[0] > _WINDOW_S:
-                arrivals.popleft()
-            arrivals.append(now)
+            cell.arrivals.append(now)
+            if not cell.count % _TRIMMED:
+                cell.trim()
         take = plan.status
         if take is not None:
             known = self.believed_status

@@ -86,14 +86,14 @@ class SampleQueue(Generic[T]):
     # Slots here and in the other parts that every package passes: a process with hundreds of
     # aircraft finds each of them cold, and attributes in a place of their own cost another miss.
     __slots__ = (
-        "_count",
-        "_min_interval",
         "_next_at",
         "_policy",
+        "count",
         "dropped",
         "error",
         "is_closed",
         "loop",
+        "min_interval",
         "received",
         "thinned",
         "values",
@@ -111,8 +111,8 @@ class SampleQueue(Generic[T]):
     ) -> None:
         self.loop = loop  # in which values come and are waited for; None: any
         self._policy = policy
-        self._count = policy.count
-        self._min_interval = min_interval
+        self.count = policy.count
+        self.min_interval = min_interval
         self._next_at = float("-inf")  # the next value of the rate limit's grid is due
         # Kinds of values that are queued, a bit for each; none once the stream has ended.
         self.wanted = wanted
@@ -126,39 +126,27 @@ class SampleQueue(Generic[T]):
         self.dropped = 0  # values that the policy dropped
         self.thinned = 0  # values left out by the rate limit
 
-    def put(self, value: T, now: float) -> None:
-        """Queue a wanted value, as the policy says. Called by the reader; never waits or raises."""
-        if self._min_interval and self._thins(now):
-            return
-        self.received += 1
-        values = self.values
-        if len(values) >= self._count and not self._make_room():
-            return
-        values.append(value)
-        if self.waiter is not None:
-            self.wake()
-
     @property
     def room(self) -> int:
         """How many values it takes without losing one."""
-        return self._count - len(self.values)
+        return self.count - len(self.values)
 
-    def _thins(self, now: float) -> bool:
+    def thins(self, now: float) -> bool:
         """Whether the rate limit leaves out a value that arrives now."""
         if now < self._next_at - _TOLERANCE_S:
             self.thinned += 1
             return True
         # A late value does not shift the ones after it, a long gap does not let a burst in.
-        is_on_grid = now - self._next_at < self._min_interval
-        self._next_at = (self._next_at if is_on_grid else now) + self._min_interval
+        is_on_grid = now - self._next_at < self.min_interval
+        self._next_at = (self._next_at if is_on_grid else now) + self.min_interval
         return False
 
-    def _make_room(self) -> bool:
+    def make_room(self) -> bool:
         """The queue is full: drop the oldest value, or end the stream."""
         if isinstance(self._policy, Lossless):
             self.fail(
                 TelemetryOverflow(
-                    f"{self._count} values wait and the consumer took none",
+                    f"{self.count} values wait and the consumer took none",
                     cause="the consumer is slower than the aircraft, or was blocked",
                     remedy="take values faster, ask for a lower rate or another policy",
                 )
@@ -289,13 +277,23 @@ class Hub(Generic[T]):
         return Subscription(queue)
 
     def publish(self, value: T, now: float, kinds: int = ANY) -> None:
-        """Queue the value wherever one of its kinds is wanted."""
+        """Queue the value wherever one of its kinds is wanted, as the policy says.
+
+        Called by the reader of the line: never waits or raises.
+        """
         has_any_ended = False
         for queue in self._queues:
-            if queue.wanted & kinds:
-                queue.put(value, now)
-            elif not queue.wanted:
-                has_any_ended = True
+            if not queue.wanted & kinds:
+                has_any_ended = has_any_ended or not queue.wanted
+                continue
+            if queue.min_interval and queue.thins(now):
+                continue
+            queue.received += 1
+            values = queue.values
+            if len(values) < queue.count or queue.make_room():
+                values.append(value)
+                if queue.waiter is not None:
+                    queue.wake()
         if has_any_ended:
             self._queues = tuple(queue for queue in self._queues if queue.wanted)
 
@@ -377,11 +375,12 @@ class TelemetryStream:
             return
         self.state.update(sample)
         plan = sample._plan
-        if plan.tick is not None:
+        tick, observe = plan.tick, self._observe
+        if tick is not None:
             # Of its record, which costs ten times as much, the clock wants nothing else.
             clock = self._clock if firmware is self._firmware else self.clock_of(firmware)
-            clock.update(plan.tick(value)[0], now)
-        self._observe(sample)
+            clock.update(tick(value)[0], now)
+        observe(sample)
         self.hub.publish(sample, now, plan.flags or _PACKAGE)
 
     def subscribe(

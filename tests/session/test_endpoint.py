@@ -103,23 +103,6 @@ def test_what_one_read_brings_is_reported_in_the_order_in_which_it_arrived() -> 
     assert host.statistics.commands == 2
 
 
-def test_whether_a_read_brought_only_pushes() -> None:
-    host, aircraft = Endpoint(), Endpoint()
-    host.push(b"push")
-    pushes = b"".join(host.output())
-    host.request(b"question", now=0)
-    (command,) = host.output()
-    for data, is_pushes in (
-        (pushes, True),
-        (pushes + command, False),
-        (command, False),  # a repeat is no event, but may be answered from memory
-        (pushes + pushes, True),
-        (b"", True),
-    ):
-        aircraft.receive_data(data, 0)
-        assert aircraft.only_pushes is is_pushes
-
-
 @pytest.mark.parametrize("kind", [Endpoint, Sender])
 def test_a_request_is_sent_three_times_half_a_second_apart(kind: type[Endpoint | Sender]) -> None:
     """Unless it says otherwise."""
