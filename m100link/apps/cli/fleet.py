@@ -13,11 +13,12 @@ from contextlib import AbstractAsyncContextManager, contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from cyclopts import Parameter
 from rich.console import Console
 
+from m100link.apps.agent.orders import Right
 from m100link.apps.cli.common import err, out
 from m100link.apps.cli.options import Above0
 from m100link.apps.cli.plan import File, require_free
@@ -30,13 +31,12 @@ from m100link.apps.cli.terminal import (
     tell,
     tell_text,
 )
-from m100link.apps.fleet.asking import PATIENCE_S, Sign
+from m100link.apps.fleet.asking import PATIENCE_S
 from m100link.apps.fleet.client import Fleet, FleetAircraft, connect
 from m100link.apps.fleet.identity import Rights
 from m100link.apps.fleet.keys import DEFAULT_SITE, check_name, in_order
 from m100link.apps.fleet.payloads import Result
-from m100link.apps.fleet.revocations import Revocations
-from m100link.apps.fleet.signing import read_signer, signing, tls_options
+from m100link.apps.fleet.signing import credentials
 from m100link.errors import M100Error, OutcomeUnknown, UsageError
 from m100link.errors.texts import read_json
 from m100link.link.keyfile import replace_file
@@ -181,16 +181,9 @@ class FleetOptions:
 
     def open(self) -> AbstractAsyncContextManager[Fleet]:
         """The fleet."""
-        identity, pki, file = self.identity, self.folder, self.file
-        return connect(
-            *(self.connect if file is None else file.endpoints),
-            site=self.place,
-            name=self.who,
-            sign=self.sign(),
-            authority=None if not identity else Revocations.of_folder(pki),
-            options={} if not identity else tls_options(pki, identity),
-            patience=self.patience,
-        )
+        ends = self.connect if self.file is None else self.file.endpoints
+        how: dict[str, Any] = {"site": self.place, "name": self.who, "patience": self.patience}
+        return connect(*ends, **how, **self.credentials)
 
     @cached_property
     def file(self) -> Rights | None:
@@ -203,11 +196,21 @@ class FleetOptions:
         """The name of the site."""
         return self.site if self.file is None else self.file.site
 
-    def sign(self) -> Sign | None:
-        """The signer of orders; None without an identity."""
-        if not self.identity:
-            return None
-        return signing(read_signer(self.folder, self.identity))
+    @cached_property
+    def credentials(self) -> dict[str, Any]:
+        """The identity's signer, authority and options of TLS; nothing without one."""
+        return credentials(self.folder, self.identity, self.file) if self.identity else {}
+
+    def tell_left_out(self) -> None:
+        """Name the aircraft of the file that no router shows to this identity."""
+        sign = self.credentials.get("sign")
+        if self.file is None or sign is None:
+            return
+        every = {name: sign.refusal(Right.WATCH, name) for name in self.file.aircraft}
+        left_out = {name: refused.seen for name, refused in every.items() if refused}
+        if left_out:
+            why = next(iter(left_out.values())).partition(";")[0]
+            say(f"left out: {', '.join(left_out)}: {why}", to=err)
 
     @property
     def folder(self) -> Path:
@@ -243,6 +246,8 @@ async def results_of(
 ) -> dict[str, Result]:
     """Do something with each aircraft that is named, or that is there."""
     wanted = wanted_names(names, everybody)
+    if everybody:
+        options.tell_left_out()
     async with options.open() as fleet:
         return await fleet.each(do, await fleet.names() if wanted is None else wanted)
 

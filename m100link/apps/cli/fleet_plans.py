@@ -6,7 +6,7 @@ import asyncio
 import json
 import sys
 from collections.abc import Awaitable, Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -14,8 +14,8 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from m100link.apps.agent.background import when_signalled
-from m100link.apps.agent.orders import AskVersion, Order
-from m100link.apps.cli.common import err, out, run_async
+from m100link.apps.agent.orders import AskVersion, Order, Right
+from m100link.apps.cli.common import EnvelopeOptions, err, out, run_async
 from m100link.apps.cli.fleet import (
     NO_OPTIONS,
     FleetOptions,
@@ -178,6 +178,7 @@ async def _ordering(
     fence, token = borrowed(options.place, name)
     async with options.open() as fleet:
         asker = fleet[name].asker
+        asker.require(Right.FLY, ends=do is MissionOrders.pause)
         await asker.ask(AskVersion())  # its clock says how old an order is
 
         async def ask(order: Order) -> OrderReply:
@@ -251,23 +252,19 @@ ShowFile = Annotated[File, Parameter(help="A file of JSON; - is standard input."
 
 @Parameter(name="*")
 @dataclass(frozen=True)
-class ShowEnvelopeOptions:
+class ShowEnvelopeOptions(EnvelopeOptions):
     """How far the agents' guards let each aircraft fly.
 
     Attributes:
-        max_height: Greatest height above its take-off point, m.
-        max_radius: Greatest distance from its take-off point, m.
         max_speed: Greatest horizontal speed, m/s; tracks may use four fifths of it.
     """
 
-    max_height: Annotated[float, Above0] = Envelope().max_height_m
-    max_radius: Annotated[float, Above0] = Envelope().max_radius_m
     max_speed: Annotated[float, Above0] = Envelope().max_speed_m_s
 
     @property
     def envelope(self) -> Envelope:
-        """The same as a value."""
-        return Envelope(self.max_height, self.max_radius, self.max_speed)
+        """With its speed."""
+        return replace(super().envelope, max_speed_m_s=self.max_speed)
 
 
 def _read(file: File) -> Show:
@@ -413,7 +410,7 @@ def fly_show(
                 options.who,
                 found,
                 leave=leave,
-                sign=options.sign(),
+                sign=options.credentials.get("sign"),
                 tell=partial(say, to=err),
             )
             parts = await conductor.fly()

@@ -46,7 +46,7 @@ from m100link.apps.cli.serve import (
     warn_of,
 )
 from m100link.apps.cli.terminal import AS_IT_IS, ExitCode, LogOptions, as_json, print_json, tell
-from m100link.apps.fleet.client import open_fleet
+from m100link.apps.fleet.client import FleetAircraft, open_fleet
 from m100link.apps.fleet.identity import BadRights, Rights
 from m100link.apps.fleet.keys import DEFAULT_SITE
 from m100link.apps.fleet.logs.service import RATE
@@ -54,7 +54,7 @@ from m100link.apps.fleet.lost_link import LostAction, LostLinkPlan
 from m100link.apps.fleet.pki import BOARDS, explain, router_config
 from m100link.apps.fleet.pki import make as make_certificates
 from m100link.apps.fleet.pki import revoke as revoke_names
-from m100link.apps.fleet.revocations import AUTHORITY, LIST, Revocations, bring
+from m100link.apps.fleet.revocations import AUTHORITY, LIST, Revocations, in_force
 from m100link.apps.station.config import ONLY_NAME, Settings, resolve
 from m100link.apps.station.fleet import (
     FleetSettings,
@@ -318,6 +318,8 @@ async def _serve_console(
     names: tuple[str, ...], options: FleetOptions, settings: Settings, *, is_opened: bool
 ) -> int:
     ended = ended_by_signal()
+    if not names:
+        options.tell_left_out()
     async with options.open() as fleet, serving_fleet_console(fleet, settings, names) as served:
         scheme = "http" if settings.tls_cert is None else "https"
         path, shown = served.console_path(), list(served.agents)
@@ -390,8 +392,12 @@ async def push(
             f"{place} cannot be read: {error.strerror}",
             remedy="m100link fleet pki revoke writes it",
         ) from error
-    pushed = results_of(names, everybody, options, lambda one: bring(one.bus, one.keys, data))
-    return tell_results(await pushed, options)
+
+    async def one(it: FleetAircraft) -> int:
+        it.asker.require(Right.STOP, ends=True)
+        return (await in_force(it.bus, it.keys, data)).number
+
+    return tell_results(await results_of(names, everybody, options, one), options)
 
 
 @acl.command

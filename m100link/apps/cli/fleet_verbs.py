@@ -17,6 +17,7 @@ from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, Trans
 from rich.table import Table
 
 from m100link.apps.agent.background import is_set_within
+from m100link.apps.agent.orders import Right
 from m100link.apps.cli.common import ended_by_signal, err, out
 from m100link.apps.cli.fleet import (
     NO_OPTIONS,
@@ -35,14 +36,16 @@ from m100link.apps.cli.fleet_plans import missions, shows
 from m100link.apps.cli.fleet_setup import acl, agent, console, doctor, make, pki, router, up
 from m100link.apps.cli.options import OUTPUT, Above0, AtMost, group
 from m100link.apps.cli.terminal import ExitCode, ReaderGone, as_json, print_json, tell
+from m100link.apps.fleet.asking import RIGHTS
 from m100link.apps.fleet.client import Fleet, FleetAircraft
 from m100link.apps.fleet.identity import WINDOW_S
-from m100link.apps.fleet.keys import Keys, check_name, in_order
+from m100link.apps.fleet.keys import check_name, in_order
 from m100link.apps.fleet.logs.fetching import Fetched
 from m100link.apps.fleet.payloads import Card, Result
 from m100link.apps.fleet.publisher import FleetTelemetry
 from m100link.apps.fleet.revocations import Revocations
 from m100link.apps.fleet.signing import merge_audit
+from m100link.errors import FleetError
 from m100link.log.folder import state_folder
 from m100link.protocol.items import BY_RECORD
 from m100link.protocol.records import Battery, FlightStatus, Position, Velocity
@@ -59,6 +62,7 @@ app = group(
 @app.command(name="list")
 async def list_(*, options: FleetOptions = NO_OPTIONS) -> None:
     """List the aircraft that are present: the state of each, and who has control."""
+    options.tell_left_out()
     async with options.open() as fleet:
         names, cards = await fleet.names(), await fleet.cards()
     # An agent of an older release shows another token, but publishes its state all the same.
@@ -201,6 +205,7 @@ async def monitor(*, duration: AtMost = None, options: FleetOptions = NO_OPTIONS
     ended = ended_by_signal()
     if duration is not None:
         asyncio.get_running_loop().call_later(duration, ended.set)
+    options.tell_left_out()
     async with options.open() as fleet:
         heard = FleetTelemetry(fleet.bus, fleet.keys)
         if as_json():
@@ -274,13 +279,23 @@ async def watch(
     if duration is not None:
         asyncio.get_running_loop().call_later(duration, ended.set)
     async with options.open() as fleet:
-        keys = Keys(fleet.keys.site, name)
-        heard = FleetTelemetry(fleet.bus, keys, full=True, on_sample=tell)
+        asker = fleet.asker(name)
+        asker.require(Right.WATCH)
+        if not await asker.is_there():
+            say(f"{name} is not there, or you have no right to watch it: waiting for it", to=err)
+        heard = FleetTelemetry(fleet.bus, asker.keys, full=True, on_sample=tell)
         await ended.wait()
         heard.close()
         err.print(f"{heard.received[name]} packages", markup=False)
     if gone is not None:
         raise gone
+    if not heard.received[name]:
+        raise FleetError(
+            f"no package of {name} came that can be read",
+            cause="its agent has no aircraft or another release, or the router lets none of its "
+            "packages pass to this identity: it has no right to watch",
+            remedy=f"m100link fleet list; {RIGHTS}",
+        )
 
 
 def _package(sample: Sample) -> dict[str, Any]:
@@ -331,13 +346,16 @@ async def logs(*names: Names, everybody: All = False, options: FleetOptions = NO
     if rows and not as_json():
         say(f"{'name':12} {'log':32} {'size':>9}  last written (UTC)")
     for name, one in rows:
-        at = time.strftime("%Y-%m-%d %H:%M:%S", time.gmtime(one.at))
         is_written = ", and still" if one.is_written else ""
-        words = f"{name:12} {one.log:32} {decimal(one.size):>9}  {at}{is_written}"
+        words = f"{name:12} {one.log:32} {decimal(one.size):>9}  {_day(one.at)}{is_written}"
         tell({"name": name} | asdict(one), words)
     if results and not rows and not as_json():
         err.print("no logs")
     return _failures(results, options)
+
+
+def _day(at: float) -> str:
+    return time.strftime("%Y-%m-%d %H:%M:%S", time.gmtime(at))
 
 
 @log.command
@@ -349,8 +367,10 @@ async def audit(
 ) -> int:
     """Merge the signed logs of orders: who ordered what of which aircraft, when, and the outcome.
 
-    The lines stay in a file NAME.audit here, and the command fetches only newer ones. It names each
-    line that somebody altered or removed, on board or here; the status is 1 then.
+    A line begins with the time of the order, by its sender's clock; then come the time of the
+    outcome, by the clock on board, and the outcome. The lines stay in a file NAME.audit here, and
+    the command fetches only newer ones. It names each line that somebody altered or removed, on
+    board or here; the status is 1 then.
 
     Args:
         output: Folder of those files; by default audit/SITE in m100link of the user's state folder.
@@ -366,9 +386,9 @@ async def audit(
     rows = [(facts["at"], name, facts) for name, (lines, _) in merged.items() for facts in lines]
     for at, name, facts in sorted(rows, key=lambda row: row[0]):
         if "order" in facts:
-            day = time.strftime("%Y-%m-%d %H:%M:%S", time.gmtime(at))
-            words = f"{day}  {name:8} {facts['signer'] or facts['by']:12} {facts['order']:16}"
-            words += f" {facts['outcome']}  {facts.get('why', '')}"
+            ordered = _day(facts["ordered_at"]) if "ordered_at" in facts else ""
+            words = f"{ordered:19}  {name:8} {facts['signer'] or facts['by']:12} "
+            words += f"{facts['order']:16} {_day(at)} {facts['outcome']}  {facts.get('why', '')}"
             tell({"name": name} | facts, words.rstrip())
     wrong = [f"{name}: {text}" for name, (_, texts) in merged.items() for text in texts]
     say(*wrong, to=err)

@@ -8,6 +8,7 @@ may have been carried out never gets a new id.
 from __future__ import annotations
 
 import asyncio
+import logging
 import math
 import time
 import uuid
@@ -22,6 +23,7 @@ from m100link.apps.agent.latency import ClockEstimate
 from m100link.apps.agent.lease import Lease
 from m100link.apps.agent.messages import MessageError, RemoteError
 from m100link.apps.bus.network import Bus, QueryAnswer
+from m100link.apps.fleet.identity import Signer
 from m100link.apps.fleet.keys import Keys, session_in
 from m100link.apps.fleet.payloads import (
     Asked,
@@ -41,8 +43,11 @@ PATIENCE_S = 10.0
 With a delay of 3 s in each direction an answer takes 6.5 s, and lost messages are repeated.
 """
 
+_logger = logging.getLogger(__name__)
+
 _AGAIN_S = 0.1
 _NEVER = (math.inf, -math.inf, "")
+RIGHTS = "m100link fleet acl check FILE --who NAME, with the router's fleet file"
 
 Sign = Callable[[OrderMessage, str], OrderMessage]
 """Signs an order, with the proof of the lease of which it gets the secret; empty for none."""
@@ -93,6 +98,21 @@ class Asker:
         # Clocks of several agents that answered; which is the aircraft is unknown.
         self.doubtful_clocks: list[float] = []
 
+    def require(self, right: orders.Right, *, ends: bool = False) -> None:
+        """Name a missing right before anything is sent.
+
+        What ends a flight is sent all the same: the file here may be older than that on board.
+
+        Raises NotAllowed: the fleet file here does not give it, and nothing was sent.
+        """
+        sign = self._sign
+        refused = sign.refusal(right, self.keys.name) if isinstance(sign, Signer) else None
+        if refused is not None and not ends:
+            raise refused
+        if refused is not None:
+            seen = refused.seen.partition(";")[0]
+            _logger.warning("%s: %s; it is sent, and its agent decides", seen, refused.cause)
+
     async def is_there(self) -> bool:
         if self._known():
             return True
@@ -126,9 +146,11 @@ class Asker:
             Unreachable: No agent of that name is there; nothing was sent.
             OutcomeUnknown: Its outcome is unknown.
             StaleLease: The lease is not in force.
-            NotAllowed: The agent refused the signer.
+            NotAllowed: The agent refused the signer, or the fleet file here does.
             M100Error: The error that the agent reports.
         """
+        if not isinstance(asked, orders.AskVersion):  # by which an end learns the time there
+            self.require(asked.right, ends=asked.ends)
         asked_at = self._clock()
         if not await self.is_there():
             raise nobody_there(self.keys)
@@ -181,6 +203,7 @@ class Asker:
 
         Returns the lease, and the agent's time in its answer, s. Raises: as :meth:`ask`.
         """
+        self.require(orders.AcquireLease.right)
         if not await self.is_there():
             raise nobody_there(self.keys)
         reply = self._raised(await self._answered(self.keys.lease, request.order, self.patience))
@@ -225,8 +248,9 @@ class Asker:
 
         Returns the answer, whatever it says; None when none came in time. Raises MessageError: the
         answer cannot be read. Raises OutcomeUnknown: two agents answered, or the reply belongs to
-        another order.
+        another order. Raises NotAllowed: as :meth:`require`.
         """
+        self.require(asked.right, ends=asked.ends)
         reply, order = await self._once(key, asked, within, began_at)
         if reply is not None and self._was_news(reply, order):
             reply, _ = await self._once(key, asked, within, began_at)
@@ -317,7 +341,8 @@ class Asker:
         raise errors.OutcomeUnknown(
             f"{self.keys.name} gave no answer for {patience:g} s",
             cause="the link is cut or slower than that, the agent hangs, or the router lets no "
-            "answer pass to this identity",
+            f"order of this identity pass: it has no right to {order.order.right.name.lower()}",
+            remedy=f"look at the aircraft; {RIGHTS}",
         )
 
     def _never_arrives(self, *, has_begun: bool) -> errors.OutcomeUnknown:
@@ -330,7 +355,7 @@ class Asker:
         return errors.OutcomeUnknown(
             f"{self.keys.name} answers, but has not heard of the order",
             cause="the router lets no such order of this identity pass, or the link loses it",
-            remedy="m100link fleet acl check FILE --who NAME, with the router's fleet file",
+            remedy=RIGHTS,
         )
 
     def _read(

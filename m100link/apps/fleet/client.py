@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Literal, Self
 
 from m100link.apps.agent.messages import MessageError, fault_of
-from m100link.apps.agent.orders import AskVersion, Land, Stop
+from m100link.apps.agent.orders import AskVersion, Land, Right, Stop
 from m100link.apps.bus.network import Bus, Held
 from m100link.apps.bus.session import LARGEST, Opening, open_session
 from m100link.apps.fleet.asking import PATIENCE_S, Asker, Sign, nobody_there, unsigned
@@ -180,7 +180,9 @@ class FleetAircraft:
 
         Raises:
             Unreachable, OutcomeUnknown: Its agent is absent, or gives no answer.
+            NotAllowed: The fleet file here gives no right to it.
         """
+        self.asker.require(Right.WATCH)
         if not await self.asker.is_there():
             raise nobody_there(self.keys)
         return await mission_card(self.asker, patience=self.asker.patience)
@@ -189,8 +191,9 @@ class FleetAircraft:
         """The state of its agent and aircraft.
 
         Raises:
-            Unreachable, OutcomeUnknown: Its agent is absent, or gives no answer.
+            Unreachable, OutcomeUnknown, NotAllowed: As :meth:`mission`.
         """
+        self.asker.require(Right.WATCH)
         for _ in range(_CARDS_ASKED):
             found = await cards(self.bus, self.keys)
             if self.name in found:

@@ -78,6 +78,7 @@ class FleetControl:
         return lease.number, lease.token
 
     async def __aenter__(self) -> Self:
+        self._asker.require(orders.Right.FLY)
         # A program whose steps are blocks of their own does not fly on after a STOP between two.
         asked_at = self._asker.unstopped_since()
         self._began_at = self._clock()

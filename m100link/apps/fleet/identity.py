@@ -173,9 +173,40 @@ class Rights:
             identities={name: one for name, one in self.identities.items() if name not in names},
         )
 
-    def identity(self, name: str) -> Identity | None:
-        """The identity of that name, or None."""
-        return self.identities.get(name)
+    def refusal(
+        self,
+        who: str,
+        right: Right,
+        aircraft: str,
+        since: str,  # since when that name is revoked; empty: it is not
+        *,
+        is_on_board: bool,  # else an operator's program asks, before it sends
+    ) -> OrderRefused | None:
+        """Why somebody may not do something with an aircraft; None: it is allowed."""
+        sent = "" if is_on_board else "; nothing was sent"
+        if since:
+            return OrderRefused(
+                f"{who} is revoked since {since}{sent}",
+                reason=Reason.REVOKED,
+                signer=who,
+                cause="its key was lost, or its owner has no rights any more",
+                remedy="issue a certificate and a key under another name, and give that one rights",
+            )
+        one, word = self.identities.get(who), right.name.lower()
+        if one is not None and one.may(right, aircraft):
+            return None
+        remedy = f"write [identity.{who}] {word} = [{aircraft!r}] there"
+        if not is_on_board:
+            may = [name for name, one in self.identities.items() if one.may(right, aircraft)]
+            remedy += ", and bring the file to routers and boards"
+            remedy += f"; or ask {', '.join(may)}, who may" if may else ""
+        return OrderRefused(
+            f"{who} may not {word} {aircraft}{sent}",
+            reason=Reason.NOT_ALLOWED,
+            signer=who,
+            cause=f"{'the fleet file on board' if is_on_board else self.path} does not allow it",
+            remedy=remedy,
+        )
 
     @classmethod
     def read(cls, path: str | Path) -> Self:
@@ -472,18 +503,22 @@ class OrderRefused(
 
 
 class Signer:
-    """Signs orders.
-
-    ``key``: the secret, 32 bytes.
+    """Signs orders in one name: :func:`m100link.apps.fleet.connect` takes it.
 
     Raises:
         UsageError: The key has another length.
     """
 
-    def __init__(self, name: str, key: bytes) -> None:
+    def __init__(
+        self,
+        name: str,  # of its identity
+        key: bytes,  # the secret, 32 bytes
+        rights: Rights | None = None,  # the fleet file here; None: agents alone decide
+        revoked: Since = nobody,  # who is shut out
+    ) -> None:
         if len(key) != 32:
             raise UsageError(f"the signing key has {len(key)} bytes", remedy="32 bytes")
-        self.name = name
+        self.name, self._rights, self._revoked = name, rights, revoked
         self._key = Ed25519PrivateKey.from_private_bytes(key)
 
     @property
@@ -500,6 +535,18 @@ class Signer:
         if order.signer != self.name:
             raise UsageError(f"{self.name} cannot sign for {order.signer}", remedy="take its key")
         return self._key.sign(order.signed())
+
+    def __call__(self, order: OrderMessage, token: str) -> OrderMessage:
+        """The order with its signature, and the proof of a lease with that secret."""
+        named = replace(order, signer=self.name).under(token)
+        return named.sealed(signature=self.sign(named))
+
+    def refusal(self, right: Right, aircraft: str) -> OrderRefused | None:
+        """The error for a right that the fleet file here does not give; None: nothing says so."""
+        if self._rights is None:
+            return None
+        since = self._revoked(self.name)
+        return self._rights.refusal(self.name, right, aircraft, since, is_on_board=False)
 
 
 class Gate:
@@ -551,23 +598,9 @@ class Gate:
                 remedy="send the order to its own aircraft",
             )
         since = self._revoked(who)
-        if since:
-            raise OrderRefused(
-                f"{who} is revoked since {since}",
-                reason=Reason.REVOKED,
-                signer=who,
-                cause="its key was lost, or its owner has no rights any more",
-                remedy="issue a certificate and a key under another name, and give that one rights",
-            )
-        identity = self._rights.identity(who)
-        if identity is None or not identity.may(right, self._aircraft):
-            raise OrderRefused(
-                f"{who} may not {right.name.lower()} {self._aircraft}",
-                reason=Reason.NOT_ALLOWED,
-                signer=who,
-                cause="the fleet file on board does not allow it",
-                remedy=f"write [identity.{who}] {right.name.lower()} = [{self._aircraft!r}] there",
-            )
+        refused = self._rights.refusal(who, right, self._aircraft, since, is_on_board=True)
+        if refused is not None:
+            raise refused
         until = self._require_fresh(order, now, clock, boot)
         if (who, order.id) in self._seen:
             raise OrderRefused(

@@ -114,33 +114,21 @@ class MissionInput(Enum):
     LEASE_ENDED = "lease ended"  # the agent ends what flew under it, and forgets the plan
 
 
+# Of what came in pieces and is whole the agent knows before anybody here does: it may start.
+_WAITS: dict[MissionInput, MissionStage | None] = {
+    MissionInput.UPLOADED: MissionStage.UPLOADED,
+    MissionInput.ASKED: MissionStage.STARTING,
+}
+_FLIES: dict[MissionInput, MissionStage | None] = {
+    **dict.fromkeys((MissionInput.UPLOADED, MissionInput.ASKED)),
+    **dict.fromkeys((MissionInput.ENDED, MissionInput.LEASE_ENDED), MissionStage.OVER),
+}
 _NEXT: dict[MissionStage, dict[MissionInput, MissionStage | None]] = {
-    MissionStage.NONE: {
-        MissionInput.UPLOADED: MissionStage.UPLOADED,
-        MissionInput.ASKED: MissionStage.STARTING,  # of what came in pieces: the agent knows it
-    },
-    MissionStage.UPLOADED: {
-        MissionInput.UPLOADED: MissionStage.UPLOADED,
-        MissionInput.ASKED: MissionStage.STARTING,
-        MissionInput.LEASE_ENDED: MissionStage.NONE,
-    },
-    MissionStage.STARTING: {
-        MissionInput.UPLOADED: None,
-        MissionInput.ASKED: None,
-        MissionInput.BEGUN: MissionStage.FLYING,
-        MissionInput.ENDED: MissionStage.OVER,
-        MissionInput.LEASE_ENDED: MissionStage.OVER,
-    },
-    MissionStage.FLYING: {
-        MissionInput.UPLOADED: None,
-        MissionInput.ASKED: None,
-        MissionInput.ENDED: MissionStage.OVER,
-        MissionInput.LEASE_ENDED: MissionStage.OVER,
-    },
-    MissionStage.OVER: {
-        MissionInput.UPLOADED: MissionStage.UPLOADED,
-        MissionInput.ASKED: MissionStage.STARTING,
-    },
+    MissionStage.NONE: _WAITS,
+    MissionStage.UPLOADED: _WAITS | {MissionInput.LEASE_ENDED: MissionStage.NONE},
+    MissionStage.STARTING: _FLIES | {MissionInput.BEGUN: MissionStage.FLYING},
+    MissionStage.FLYING: _FLIES,
+    MissionStage.OVER: _WAITS,
 }
 """An input without an entry changes nothing; None is refused."""
 
@@ -183,6 +171,7 @@ class LogQuestion:
     """Something is asked of the logs of one aircraft."""
 
     right: ClassVar[Right] = Right.WATCH
+    ends: ClassVar[bool] = False
     what: What  # what is wanted
     log: str = ""  # name of the log; empty for a list
     offset: int = 0  # first byte of a piece
@@ -194,6 +183,7 @@ class ShowOrder:
     """Something is asked of an aircraft that takes part in a show, or is to."""
 
     right: ClassVar[Right] = Right.FLY
+    ends: ClassVar[bool] = False
     run: str  # which run of which conductor asks; another one is refused meanwhile
 
 
@@ -228,6 +218,8 @@ class StartShow(ShowOrder):
 
 class LeaveShow(ShowOrder):
     """Leave the show, wherever it is."""
+
+    ends = True
 
 
 AboutShow = AskShow | SendTrack | LoadTrack | TakePlace | StartShow | LeaveShow

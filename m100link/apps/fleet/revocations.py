@@ -342,16 +342,10 @@ class RevocationService:
         question.answer(self._keys.revoked, pack(reply))
 
 
-async def bring(bus: Bus, keys: Keys, data: bytes = b"") -> int:
-    """Bring a list to an agent, which believes it when it is newer. Raises: as :func:`in_force`.
-
-    Returns number of the list in force there; 0 for none.
-    """
-    return (await in_force(bus, keys, data)).number
-
-
 async def in_force(bus: Bus, keys: Keys, data: bytes = b"") -> OrderReply:
     """Ask an agent for the number of its list, and for the digest of its fleet file as the text.
+
+    ``data``: a list, which it believes when that is newer.
 
     Raises:
         Unreachable: There is no such agent.

@@ -31,7 +31,6 @@ from cryptography.x509.oid import NameOID
 
 from m100link.apps.agent.background import TaskSet
 from m100link.apps.bus.network import DEPTH, Bus, Held, Outlet, QueryAnswer, Question, Settles
-from m100link.apps.fleet.asking import Sign
 from m100link.apps.fleet.identity import Gate, Rights, Signer, Since, nobody
 from m100link.apps.fleet.keys import name_in
 from m100link.apps.fleet.order_log import audit_digest, audit_facts, audit_kept
@@ -47,14 +46,20 @@ if TYPE_CHECKING:
 _logger = logging.getLogger(__name__)
 
 
-def signing(signer: Signer) -> Sign:
-    """Return a function that signs orders in that name, for ``connect(sign=…)``."""
+def credentials(folder: Path, name: str, rights: Rights | None = None) -> dict[str, Any]:
+    """The key and certificate of an operator, for :func:`m100link.apps.fleet.connect`.
 
-    def sign(order: OrderMessage, token: str) -> OrderMessage:
-        named = replace(order, signer=signer.name).under(token)
-        return named.sealed(signature=signer.sign(named))
+    Args:
+        folder: With certificates and keys: ``rights.pki`` beside a fleet file.
+        name: Of the operator's identity.
+        rights: The fleet file, by which a missing right is named before anything is sent.
 
-    return sign
+    Raises:
+        UsageError: One of the files is missing, or is none.
+    """
+    authority = Revocations.of_folder(folder, rights)
+    sign, options = read_signer(folder, name, authority), tls_options(folder, name)
+    return {"sign": sign, "authority": authority, "options": options}
 
 
 def verifying(
@@ -72,8 +77,10 @@ def verifying(
     return verify
 
 
-def read_signer(folder: Path, name: str) -> Signer:
+def read_signer(folder: Path, name: str, authority: Revocations | None = None) -> Signer:
     """Read an operator's signing key, as ``fleet make`` made it.
+
+    ``authority``: with a fleet file, by which a missing right is named before anything is sent.
 
     Raises:
         UsageError: There is none, it is not a key, or others can read it.
@@ -86,7 +93,10 @@ def read_signer(folder: Path, name: str) -> Signer:
         made = "m100link fleet make FILE makes it: name that folder by --pki"
         remedy = f"name one of {there}" if there else made
         raise UsageError(f"{folder} has no signing key of {name}", remedy=remedy)
-    return Signer(name, read_key(path).reveal())
+    key = read_key(path).reveal()
+    if authority is None:
+        return Signer(name, key)
+    return Signer(name, key, authority.rights, authority.since)
 
 
 def tls_options(folder: Path, name: str, *, listens: bool = False) -> dict[str, str]:

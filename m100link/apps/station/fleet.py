@@ -23,6 +23,7 @@ from typing import Any
 
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.messages import Event
+from m100link.apps.agent.orders import Right
 from m100link.apps.agent.transports import Channel, memory_channels
 from m100link.apps.bus.network import Bus
 from m100link.apps.fleet.agent import FleetAgent, Verify
@@ -272,8 +273,10 @@ async def names_of(fleet: Fleet, names: Sequence[str] = ()) -> list[str]:
     """Whom a console is to show.
 
     Raises ``Unreachable``: one that was named is not there. Raises ``UsageError``: nobody is there,
-    or there are too many.
+    or there are too many. Raises ``NotAllowed``: as :meth:`Asker.require`.
     """
+    for name in names:
+        fleet.asker(name).require(Right.WATCH)
     there = await fleet.names()
     missing = [name for name in names if name not in there]
     if missing:
@@ -301,9 +304,9 @@ async def serving_fleet_console(
 ) -> AsyncIterator[Fronts]:
     """Serve while the block runs.
 
-    Raises ``Unreachable, UsageError``: as :func:`names_of`; something in the settings cannot be.
-    Raises ``PortBusy, PortFailed``: the port is taken, or the address cannot be bound. Raises
-    ``LinkError``: none of them answers.
+    Raises ``Unreachable, UsageError, NotAllowed``: as :func:`names_of`; something in the settings
+    cannot be. Raises ``PortBusy, PortFailed``: the port is taken, or the address cannot be bound.
+    Raises ``LinkError``: none of them answers.
     """
     there = await names_of(fleet, names)
     settings.access_token()  # before anything is bound

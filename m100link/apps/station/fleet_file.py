@@ -25,7 +25,7 @@ from m100link.apps.fleet.lost_link import LostLinkPlan
 from m100link.apps.fleet.payloads import Card, OrderReply
 from m100link.apps.fleet.pki import listed, router_config
 from m100link.apps.fleet.revocations import AUTHORITY, Revocations, in_force
-from m100link.apps.fleet.signing import Seal, read_signer, signing, tls_options, verifying
+from m100link.apps.fleet.signing import Seal, credentials, read_signer, tls_options, verifying
 from m100link.apps.station.config import Settings, resolve
 from m100link.apps.station.fleet import (
     FleetSettings,
@@ -138,10 +138,9 @@ async def running_part(
             yield {"router": rights.routers[name].listen}
     else:
         settings, who = console_settings(rights), rights.console["identity"]
+        known = credentials(rights.pki, who, rights)
         async with (
-            connect(
-                *rights.endpoints, site=rights.site, name=who, **credentials(rights, who)
-            ) as one,
+            connect(*rights.endpoints, site=rights.site, name=who, **known) as one,
             serving_fleet_console(one, settings) as served,
         ):
             scheme = "http" if settings.tls_cert is None else "https"
@@ -151,15 +150,6 @@ async def running_part(
 
 def tell_log(name: str, event: Event) -> None:
     _logger.log(logging.getLevelNamesMapping()[event.level.upper()], "%s: %s", name, event.text)
-
-
-def credentials(rights: Rights, who: str) -> dict[str, Any]:
-    """The key and certificate of an operator, for :func:`connect`. Raises ``UsageError``."""
-    return {
-        "sign": signing(read_signer(rights.pki, who)),
-        "authority": Revocations.of_folder(rights.pki),
-        "options": tls_options(rights.pki, who),
-    }
 
 
 @asynccontextmanager
@@ -257,7 +247,7 @@ async def _examined(rights: Rights, tell: Callable[[str], None]) -> list[FleetFa
     for router in rights.routers.values():
         for who in (one for one in ready if one not in bad):
             try:
-                asking = credentials(rights, who)
+                asking = credentials(rights.pki, who, rights)
                 async with connect(
                     router.endpoint, site=rights.site, name=who, patience=_PATIENCE_S, **asking
                 ) as fleet:

@@ -24,7 +24,7 @@ import m100link.apps
 from m100link.apps.agent.client import AgentClient, Hearing
 from m100link.apps.agent.messages import VERSION, Hello, LeaseChanged, State
 from m100link.apps.agent.transports import memory_channels
-from m100link.apps.fleet.signing import signing, verifying
+from m100link.apps.fleet.signing import verifying
 from m100link.apps.mavlink.translator.codec import MavlinkMessage, write_frame
 from m100link.apps.mavlink.translator.numbers import MavCommand
 from m100link.apps.mavlink.translator.vehicle_state import MODES, Mode
@@ -456,7 +456,7 @@ async def test_a_take_off_of_a_fleet_is_a_few_calls(monkeypatch: pytest.MonkeyPa
     async with rig.stack:
         verify = verifying(RIGHTS, ["a1"], rig.utc)
         await rig.aircraft("a1", as_bytes=False, verify=verify)
-        anna = await rig.pilot("anna", sign=signing(ANNA))
+        anna = await rig.pilot("anna", sign=ANNA)
         async with anna["a1"].control() as control:
             await anyio.sleep(1.003)  # not at the moments of others
             asked_again, ask = asyncio.Event(), anna.bus.ask

@@ -10,8 +10,9 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from dataclasses import asdict
 from datetime import UTC, datetime, timedelta
 from importlib.util import find_spec
 from pathlib import Path
@@ -19,12 +20,15 @@ from typing import Any
 
 import pytest
 
+from m100link.apps.cli import fleet_setup
 from m100link.apps.cli.fleet_setup import AgentOptions
 from m100link.apps.cli.serve import settings_of
 from m100link.apps.cli.terminal import ExitCode
+from m100link.apps.fleet.identity import Rights
 from m100link.apps.fleet.pki import Kind, init, issue, revoke
 from m100link.apps.station.config import Settings
 from m100link.apps.station.fleet import recorded_apart
+from m100link.apps.station.fleet_file import FleetFault
 from m100link.apps.station.run import _flights
 from m100link.log import read
 from m100link.log.folder import default_folder
@@ -100,6 +104,30 @@ def test_a_fleet_that_cannot_run_says_why(
     outcome = cli("fleet", "up", str(fleet_file(tmp_path)), *words)
     assert outcome.status == ExitCode.USAGE
     assert says in " ".join(outcome.err.split())
+
+
+FAULT = FleetFault("wrong clock", "a1", "the clock of a1 is 9 s ahead", "set both clocks")
+
+
+@pytest.mark.parametrize(
+    ("faults", "status", "said"),
+    [([], ExitCode.OK, [{"ok": True}]), ([FAULT], ExitCode.FAILED, [asdict(FAULT)])],
+)
+def test_the_doctor_tells_a_program_that_a_fleet_is_well(
+    cli: CommandLine,
+    rights: str,
+    monkeypatch: pytest.MonkeyPatch,
+    faults: list[FleetFault],
+    status: int,
+    said: list[dict[str, Any]],
+) -> None:
+    async def examine(_: Rights, tell: Callable[[str], None]) -> list[FleetFault]:
+        tell("what is well is for people")
+        return faults
+
+    monkeypatch.setattr(fleet_setup, "examine", examine)
+    outcome = cli("fleet", "doctor", rights)
+    assert (outcome.status, outcome.objects) == (status, said)
 
 
 @pytest.fixture
@@ -309,7 +337,7 @@ def children_of(parent: int) -> list[int]:
 @pytest.mark.pty
 @needs_zenoh
 def test_each_may_do_what_the_file_says_and_nobody_comes_without_a_certificate(
-    secured_site: Site,
+    secured_site: Site, tmp_path: Path
 ) -> None:
     for who in ("anna", "bert", "wall"):
         status, [card] = secured_site.ask("list", "--identity", who)
@@ -319,12 +347,24 @@ def test_each_may_do_what_the_file_says_and_nobody_comes_without_a_certificate(
         assert (status, log["name"]) == (ExitCode.OK, "a1")
         status, [mission] = secured_site.ask("mission", "progress", "a1", "--identity", who)
         assert (status, mission["stage"]) == (ExitCode.OK, "none")
+    status, shown = secured_site.ask("monitor", "--duration", "5", "--identity", "wall")
+    assert (status, shown[-1]["battery"]) == (ExitCode.OK, {"percent": 100})
+    assert shown[-1]["received"] > 0
+    status, packages = secured_site.ask("watch", "a1", "--duration", "3", "--identity", "wall")
+    assert status == ExitCode.OK
+    assert "position" in {name for one in packages for name in one}
     status, [told] = secured_site.ask("takeoff", "a1", "--identity", "anna")
     assert (status, told["outcome"]) == (ExitCode.OK, "ok")
-    for who, expected in (("wall", "unknown"), ("bert", "unknown")):
+    for who in ("wall", "bert"):
         status, [told] = secured_site.ask("takeoff", "a1", "--identity", who)
-        assert status != ExitCode.OK
-        assert told["outcome"] == expected  # a router that routes nothing looks like silence
+        assert (status, told["outcome"]) == (ExitCode.FAILED, "not_allowed")
+        assert told["seen"] == f"{who} may not fly a1; nothing was sent"
+    # Without the file a router that routes nothing looks like silence.
+    port = Rights.read(tmp_path / "fleet.toml").endpoints
+    there = ("--connect", *port, "--pki", str(tmp_path / "pki"), "--patience", "3")
+    status, [told] = secured_site.ask("takeoff", "a1", "--identity", "bert", *there)
+    assert (status, told["outcome"]) == (ExitCode.FAILED, "unknown")
+    assert "acl check" in told["remedy"]
     assert secured_site.ask("mission", "stop", "a1", "--identity", "wall")[0] == ExitCode.FAILED
     assert secured_site.ask("mission", "stop", "a1", "--identity", "bert")[0] == ExitCode.OK
     status, [told] = secured_site.ask("land", "a1", "--identity", "bert")

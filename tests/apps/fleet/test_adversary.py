@@ -42,10 +42,10 @@ from m100link.apps.fleet.payloads import (
     pack,
     unpack,
 )
-from m100link.apps.fleet.revocations import Revocations, RevocationService, Revoked, bring
+from m100link.apps.fleet.revocations import Revocations, RevocationService, Revoked, in_force
 from m100link.apps.fleet.show.plan.conflicts import ConflictMonitor, Neighbours
 from m100link.apps.fleet.show.service import ShowService
-from m100link.apps.fleet.signing import Seal, SealedBus, _parts, signing, verifying
+from m100link.apps.fleet.signing import Seal, SealedBus, _parts, verifying
 from m100link.errors import M100Error, OutcomeUnknown, UsageError
 from tests.apps.bus.memory import MemoryBus, MemoryNetwork
 from tests.apps.fleet.conftest import SITE, OnBoard, Rig
@@ -373,7 +373,7 @@ class Stage:
         made.fleet_agent._orders._granted = granted  # type: ignore[method-assign]
 
     async def operator(self, name: str) -> None:
-        sign = signing(OPERATORS[name])
+        sign = OPERATORS[name]
 
         def signed(order: OrderMessage, token: str) -> OrderMessage:
             ACT.get().append(order)
@@ -448,7 +448,7 @@ class Stage:
                         raise OutcomeUnknown("no answer")
                     told.false_ok += reply.show is None or reply.show.stage is not ShowStage.EMPTY
                 case "revoked":
-                    told.false_ok += await bring(fleet.bus, aircraft.keys) != 0
+                    told.false_ok += (await in_force(fleet.bus, aircraft.keys)).number != 0
             told.ok += 1
         except M100Error:
             told.other += 1

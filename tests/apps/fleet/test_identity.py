@@ -346,7 +346,7 @@ TABLE = [
 @pytest.mark.parametrize(("who", "aircraft", "most"), TABLE)
 @pytest.mark.parametrize("right", Right)
 def test_the_rights_of_each_name(who: str, aircraft: str, most: Right | None, right: Right) -> None:
-    identity = Rights.parse(FILE).identity(who)
+    identity = Rights.parse(FILE).identities.get(who)
     assert identity is not None
     assert identity.may(right, aircraft) == (most is not None and right <= most)
 
@@ -355,7 +355,7 @@ def test_names_and_keys_are_as_the_file_says() -> None:
     rights = Rights.parse(FILE)
     assert rights.site == "field"
     assert rights.aircraft == ("a1", "a2", "b1")
-    assert rights.identity("nobody") is None
+    assert rights.identities.get("nobody") is None
     anna, wall = rights.identities.values()
     assert (anna.name, anna.public_key) == ("anna", b"\x0a" * 32)
     assert (wall.name, wall.public_key) == ("wall", None)

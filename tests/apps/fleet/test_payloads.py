@@ -51,7 +51,6 @@ from m100link.apps.fleet.payloads import (
     unpack_message,
     unpack_steer,
 )
-from m100link.apps.fleet.signing import signing
 from m100link.errors import (
     AckTimeout,
     AuthorityLost,
@@ -180,7 +179,7 @@ GIVEN: list[Asked] = [
 def signed_order(number: int = 0) -> OrderMessage:
     """Signed, and under a lease."""
     order = replace(ORDER, order=GIVEN[number % len(GIVEN)], id=f"{number:032x}", clock=83.25)
-    return signing(ANNA)(order, "secret")
+    return ANNA(order, "secret")
 
 
 def changed_document(old: str, new: str) -> bytes:

@@ -37,11 +37,11 @@ from m100link.apps.fleet.revocations import (
     Revocations,
     RevocationService,
     Revoked,
-    bring,
+    in_force,
     sign_revoked,
 )
 from m100link.apps.fleet.show.service import ShowService
-from m100link.apps.fleet.signing import signing, verifying
+from m100link.apps.fleet.signing import verifying
 from m100link.errors import M100Error, NotAllowed, OutcomeUnknown, Unreachable, UsageError
 from m100link.link.keyfile import replace_file
 from m100link.protocol.setpoint import Setpoint
@@ -92,14 +92,14 @@ class Site:
         )
         one.agent.background.spawn(self.service.run(), "revoked")
         one.agent.background.spawn(show.run(), "show")
-        self.anna = await self.rig.pilot("anna", sign=signing(ANNA))
-        self.bert = await self.rig.pilot("bert", sign=signing(BERT))
+        self.anna = await self.rig.pilot("anna", sign=ANNA)
+        self.bert = await self.rig.pilot("bert", sign=BERT)
 
     def revoked(self, *names: str) -> bytes:
         return revoke(self.ca, names, now=NOW).data
 
     async def push(self, data: bytes, by: Fleet | None = None) -> int:
-        return await bring((by or self.bert).bus, Keys(SITE, "a1"), data)
+        return (await in_force((by or self.bert).bus, Keys(SITE, "a1"), data)).number
 
     @property
     def told(self) -> list[str]:
@@ -303,9 +303,9 @@ async def test_an_agent_that_does_not_know_lists_is_reported(rig: Rig) -> None:
     await rig.aircraft("a1")
     pilot = await rig.pilot()
     with pytest.raises(OutcomeUnknown, match="which list"):
-        await bring(pilot.bus, Keys(SITE, "a1"), b"")
+        await in_force(pilot.bus, Keys(SITE, "a1"), b"")
     with pytest.raises(M100Error, match="no agent named b1"):
-        await bring(pilot.bus, Keys(SITE, "b1"), b"")
+        await in_force(pilot.bus, Keys(SITE, "b1"), b"")
 
 
 def test_a_folder_without_an_authority_is_none(tmp_path: Path) -> None:
@@ -495,10 +495,10 @@ async def test_a_list_is_brought_four_times_at_most(
     clock = asyncio.get_running_loop().time
     began = clock()
     if outcome == 3:
-        assert await bring(bus, KITE, b"list") == 3
+        assert (await in_force(bus, KITE, b"list")).number == 3
     else:
         with pytest.raises(outcome):
-            await bring(bus, KITE, b"list")
+            await in_force(bus, KITE, b"list")
     assert clock() - began == pytest.approx(seconds)
     assert bus.tokens.mock_calls == [call("m100-live/field/kite/*", timeout=1.5)]
     told = call("m100/field/kite/revoked", bytes([VERSION]) + b"list", timeout=1.5)
@@ -515,10 +515,10 @@ async def test_an_agent_that_comes_back_behind_its_router_gets_the_list(
         tokens=AsyncMock(side_effect=[[], [], [token]]), ask=AsyncMock(return_value=[])
     )
     monkeypatch.setattr(revocations, "believed", MagicMock(return_value=REPLY))
-    assert await bring(bus, KITE, b"list") == 3
+    assert (await in_force(bus, KITE, b"list")).number == 3
     bus.tokens = AsyncMock(return_value=[])
     with pytest.raises(Unreachable):
-        await bring(bus, KITE, b"list")
+        await in_force(bus, KITE, b"list")
     assert bus.tokens.await_count == 4
 
 
@@ -664,5 +664,5 @@ def test_a_newer_list_alone_comes_into_force_and_once(tmp_path: Path) -> None:
 async def test_a_list_is_brought_to_nobody_where_no_agent_is_present() -> None:
     bus: Any = MagicMock(tokens=AsyncMock(return_value=[]), ask=AsyncMock(return_value=[]))
     with pytest.raises(Unreachable, match="no agent named kite"):
-        await bring(bus, KITE, b"list")
+        await in_force(bus, KITE, b"list")
     assert not bus.ask.called

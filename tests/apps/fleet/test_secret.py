@@ -29,7 +29,7 @@ from m100link.apps.fleet.payloads import (
     pack_steer,
     unpack,
 )
-from m100link.apps.fleet.signing import signing, verifying
+from m100link.apps.fleet.signing import verifying
 from m100link.protocol.setpoint import Setpoint
 from tests.apps.fleet.conftest import SITE, OnBoard, Rig
 from tests.apps.fleet.test_agent import keep, lease, order, send
@@ -119,7 +119,7 @@ async def test_a_listener_hears_no_secret_and_flies_nothing_with_what_it_hears(
 ) -> None:
     """Agents verify signatures, and bert may watch and stop."""
     one = await rig.aircraft("a1", verify=verifying(RIGHTS, ["a1"], rig.utc))
-    anna, listener = await rig.pilot("anna", sign=signing(ANNA)), Listener(rig)
+    anna, listener = await rig.pilot("anna", sign=ANNA), Listener(rig)
     control = anna["a1"].control()
     async with control:
         await control.take_off()
@@ -213,7 +213,7 @@ def forged(agent: FleetAgent, payload: bytes) -> bytes:
 
 async def flying(rig: Rig) -> OnBoard:
     one = await rig.aircraft("a1", verify=verifying(RIGHTS, ["a1"], rig.utc))
-    await (await rig.pilot("anna", sign=signing(ANNA)))["a1"].take_off()
+    await (await rig.pilot("anna", sign=ANNA))["a1"].take_off()
     return one
 
 
@@ -222,10 +222,10 @@ async def test_a_strangers_answer_is_not_believed_and_the_aircraft_lands(rig: Ri
     stranger = rig.network.session()
     for key in (KEYS.command, KEYS.lease):
         stranger.serve(key, lambda q: q.answer(q.key, forged(one.fleet_agent, q.payload)))
-    anna = await rig.pilot("anna", sign=signing(ANNA))
+    anna = await rig.pilot("anna", sign=ANNA)
     assert (await anna.land(["a1"]))["a1"].outcome is Outcome.OK
     assert one.height < 0.1, "ok is what the aircraft did"
-    bert = await rig.pilot("bert", sign=signing(BERT))
+    bert = await rig.pilot("bert", sign=BERT)
     results = await bert.each(lambda aircraft: aircraft.take_off(), ["a1"])
     assert results["a1"].outcome is Outcome.NOT_ALLOWED
     rig.network.cut(one.bus)  # the agent is gone, and its token is seen still
@@ -246,7 +246,7 @@ async def test_of_two_that_answer_nobody_is_believed(
         KEYS.command,
         lambda q: q.answer("m100/x/a1/cmd", forged(one.fleet_agent, q.payload)),
     )
-    anna = await rig.pilot("anna", sign=signing(ANNA))
+    anna = await rig.pilot("anna", sign=ANNA)
     assert (await anna.land(["a1"]))["a1"].outcome is Outcome.UNKNOWN
     await rig.until(lambda: one.height < 0.1)
 
@@ -255,13 +255,13 @@ async def test_of_two_that_answer_nobody_is_believed(
 async def test_another_order_of_the_same_id_gives_no_outcome(rig: Rig, is_first: bool) -> None:
     """Bert may stop. He hears the id of a landing whose way to the agent is longer than his."""
     one = await flying(rig)
-    anna = await rig.pilot("anna", sign=signing(ANNA))
+    anna = await rig.pilot("anna", sign=ANNA)
     heard: list[OrderMessage] = []
     asks = rig.network.session()
 
     async def squat(found: OrderMessage) -> None:
         mine = OrderMessage(found.id, SITE, "a1", "bert", 0, rig.utc(), orders.Stop())
-        signed = signing(BERT)(mine, "")
+        signed = BERT(mine, "")
         await asks.ask(KEYS.command, pack(signed), timeout=2.0)
 
     sent = anna.bus.ask

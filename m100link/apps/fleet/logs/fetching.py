@@ -13,7 +13,7 @@ from pathlib import Path
 
 from m100link.apps.agent.background import ignore
 from m100link.apps.agent.messages import MessageError
-from m100link.apps.fleet.asking import PATIENCE_S, Asker, nobody_there, reason_of
+from m100link.apps.fleet.asking import PATIENCE_S, RIGHTS, Asker, nobody_there, reason_of
 from m100link.apps.fleet.logs import words
 from m100link.apps.fleet.payloads import LogQuestion, Outcome, What, pack
 from m100link.errors import FleetError, M100Error, Unreachable, UsageError
@@ -153,6 +153,7 @@ class LogFetcher:
     async def _ask(self, question: LogQuestion) -> tuple[words.LogReply, bytes]:
         """Ask until it is answered: nothing on board changes by it."""
         name = self._keys.name
+        self._asker.require(question.right)
         # An agent that has answered may come back, with the router or by a restart.
         if not self._has_answered and not await self._asker.is_there():
             raise nobody_there(self._keys)
@@ -188,7 +189,7 @@ class LogFetcher:
             f"{name} gave no answer about its logs for {PATIENCE_S:g} s",
             cause="the link is cut, its agent hangs or is an old one, or the router lets no answer "
             "pass to this identity",
-            remedy="m100link fleet acl check FILE --who NAME, with the router's fleet file",
+            remedy=RIGHTS,
         )
 
 

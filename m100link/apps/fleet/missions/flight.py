@@ -14,7 +14,7 @@ from typing import Self
 
 from m100link.apps.agent import orders
 from m100link.apps.agent.messages import MessageError
-from m100link.apps.fleet.asking import PATIENCE_S, Asker, Questions
+from m100link.apps.fleet.asking import PATIENCE_S, RIGHTS, Asker, Questions
 from m100link.apps.fleet.payloads import MissionCard, MissionStage, OrderReply, unpack
 from m100link.errors import M100Error, MissionAborted, OutcomeUnknown
 from m100link.flight.missions import events
@@ -57,8 +57,8 @@ async def mission_card(asker: Asker, *, patience: float = PATIENCE_S) -> Mission
     raise OutcomeUnknown(
         f"{keys.name} does not report its mission",
         cause="the link is cut, its agent is gone or an old one, or the router lets no answer pass "
-        "to this identity",
-        remedy="look at the aircraft; m100link fleet stop",
+        "to this identity: it has no right to watch",
+        remedy=f"look at the aircraft; m100link fleet stop; {RIGHTS}",
     )
 
 

@@ -15,6 +15,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from m100link.apps.agent import orders
 from m100link.apps.agent.messages import MessageError
 from m100link.apps.bus.network import Bus
 from m100link.apps.fleet import payloads
@@ -100,6 +101,8 @@ class Conductor:
             M100Error: One of them could not begin. None has begun; all that flew hover or land, as
                 ``leave`` says.
         """
+        for asker in self._askers.values():
+            asker.require(orders.Right.FLY)
         self._began_at = self._clock()
         attending = asyncio.create_task(self._attend(), name="m100link: conductor of a show")
         try:

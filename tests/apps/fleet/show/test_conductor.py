@@ -36,7 +36,7 @@ from m100link.apps.fleet.show.plan.steering import ShowRefused, Why
 from m100link.apps.fleet.show.plan.track import BadShow, TimedTrack
 from m100link.apps.fleet.show.service import ShowService
 from m100link.apps.fleet.show.track_executor import Leave
-from m100link.apps.fleet.signing import signing, verifying
+from m100link.apps.fleet.signing import verifying
 from m100link.errors import GuardRefused, M100Error, NotAllowed, Unreachable, UsageError
 from m100link.flight.guards import Envelope, Guards
 from m100link.geodesy import LocalFrame
@@ -88,7 +88,7 @@ class Company:
             self.on_board.append(one)
 
     def conductor(self, **options: Any) -> Conductor:
-        options.setdefault("sign", signing(ANNA))
+        options.setdefault("sign", ANNA)
         options.setdefault("utc", self.rig.utc)
         self.ground = self.rig.network.session()
         return Conductor(self.ground, SITE, "anna", self.show, tell=self.told.append, **options)
@@ -256,7 +256,7 @@ async def test_one_that_is_not_there_is_named_and_nobody_takes_off(rig: Rig) -> 
 
 @pytest.mark.parametrize(
     ("sign", "said"),
-    [(None, "signed by nobody"), (signing(Signer("bert", b"b" * 32)), "bert may not fly")],
+    [(None, "signed by nobody"), (Signer("bert", b"b" * 32), "bert may not fly")],
 )
 async def test_an_operator_without_the_right_to_fly_conducts_nothing(
     rig: Rig, sign: Any, said: str
@@ -536,7 +536,9 @@ class Answering:
             once = partial(self.once, name)
             its_clock = SimpleNamespace(offset=lambda _now: self.clock)
             keys = Keys(SITE, name)
-            fake: Any = SimpleNamespace(once=once, keys=keys, its_clock=its_clock)
+            fake: Any = SimpleNamespace(
+                once=once, keys=keys, its_clock=its_clock, require=lambda _: None
+            )
             self.conductor._askers[name] = fake
         self.track = tracks[0]
 
