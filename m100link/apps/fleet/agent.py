@@ -41,7 +41,7 @@ from m100link.apps.fleet.identity import Since, nobody
 from m100link.apps.fleet.keys import Keys
 from m100link.apps.fleet.lost_link import LastFlight, LostLinkAction, LostLinkPlan
 from m100link.apps.fleet.missions.manager import MissionManager
-from m100link.apps.fleet.order_log import AuditLog, OrderCache, OrderLog
+from m100link.apps.fleet.order_log import AuditLog, OrderCache, OrderLog, is_time
 from m100link.apps.fleet.orders import OrderService
 from m100link.apps.fleet.publisher import WALL_WITHIN_S, Thinner
 from m100link.errors import GuardRefused, M100Error, NotAllowed, OutcomeUnknown, UsageError
@@ -413,7 +413,9 @@ class FleetAgent:
         what = getattr(order.order, "label", type(order.order).__name__)
         outcome = payloads.Outcome.OK if error is None else payloads.outcome_of(error)
         why = {} if error is None else {"why": error.seen}
-        self.audit.add({**who, "order": what, "outcome": outcome.value, **why, "id": order.id})
+        ordered = {"ordered_at": round(order.at, 3)} if is_time(order.at) else {}
+        ended = {"order": what, **ordered, "outcome": outcome.value, **why}
+        self.audit.add({**who, **ended, "id": order.id})
 
     def _reply(self, identity: str, error: M100Error | None, **more: Any) -> payloads.OrderReply:
         return payloads.OrderReply.done(identity, self._keys.name, self.boot, error, **more)

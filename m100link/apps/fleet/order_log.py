@@ -388,8 +388,14 @@ def audit_facts(line: bytes) -> dict[str, Any]:
     facts = _json(line.rpartition(b"\t")[0].decode("utf-8", "replace")) or {}
     texts = [facts.get(one, "") for one in ("before", "order", "signer", "by", "outcome")]
     is_line = all(isinstance(one, str) for one in texts) and _is_fence(facts.get("number"))
-    has_time = type(facts.get("at")) is float and 0 <= facts["at"] < 1 << 33
-    return {"signer": "", "by": "", "outcome": ""} | facts if is_line and has_time else {}
+    times = facts.get("at"), facts.get("ordered_at", 0.0)
+    is_line = is_line and all(map(is_time, times))
+    return {"signer": "", "by": "", "outcome": ""} | facts if is_line else {}
+
+
+def is_time(value: object) -> bool:
+    """Whether it is a POSIX time that a line may have: no calendar has others."""
+    return type(value) is float and 0 <= value < 1 << 33
 
 
 def audit_kept(newest: int) -> int:

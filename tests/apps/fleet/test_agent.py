@@ -707,6 +707,7 @@ async def test_each_order_and_its_outcome_is_in_the_audit_log(rig: Rig) -> None:
 
     await rig.aircraft("a1", audit=log, verify=verify)
     ada, eve = await rig.pilot("ada"), await rig.pilot("eve")
+    began_at = rig.utc()
     await ada["a1"].take_off()
     assert [(line["by"], line["order"], line["outcome"]) for line in lines] == [
         ("ada", what, "ok")
@@ -714,6 +715,10 @@ async def test_each_order_and_its_outcome_is_in_the_audit_log(rig: Rig) -> None:
         if what in {line["order"] for line in lines}
     ]
     assert {"acquire lease", "take off", "release lease"} <= {line["order"] for line in lines}
+    times = [line["ordered_at"] for line in lines]
+    assert times == sorted(times), "each by the clock of its sender, in ms"
+    assert times[0] == pytest.approx(began_at, abs=0.01)
+    assert times[-1] > began_at + 1.0, "a take-off takes its time"
     lines.clear()
     for _ in range(5):
         with pytest.raises(NotAllowed):

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import errno
+import json
+import math
 import os
 import stat
 from collections.abc import Callable
@@ -25,6 +27,8 @@ from m100link.apps.fleet.order_log import (
     Mark,
     MemoryOrderLog,
     OrderCache,
+    audit_facts,
+    is_time,
     seal,
     since_boot,
     words,
@@ -630,6 +634,26 @@ def test_a_log_that_nobody_touched_is_whole(own: tuple[Seal, x509.Certificate]) 
     assert found[1]["at"] == 1_800_000_000.0
     assert written(own[0]).since(3, 1).count(b"\n") == 1, "one line goes whatever its length"
     assert written(own[0]).since(7, 1 << 20) == b""
+
+
+@pytest.mark.parametrize(
+    ("at", "is_line"),
+    [
+        (1_799_999_990.5, True),
+        (0.0, True),
+        (-1.0, False),
+        (1e10, False),
+        (math.nan, False),
+        (1_800_000_000, False),  # each time is a float, as JSON has it
+        ("now", False),
+    ],
+)
+def test_a_line_with_a_time_that_no_calendar_has_is_none(at: object, is_line: bool) -> None:
+    """Readers make a date of it; the agent leaves out such a time of an order."""
+    facts = {"number": 1, "at": 1.8e9, "order": "land", "ordered_at": at}
+    line = json.dumps(facts).encode() + b"\tsignature"
+    assert bool(audit_facts(line)) is is_line
+    assert is_time(at) is is_line
 
 
 @pytest.mark.parametrize(
