@@ -6,7 +6,8 @@ import asyncio
 import math
 import os
 import sys
-from collections.abc import Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
 from dataclasses import replace
 from functools import partial
 from random import Random
@@ -33,12 +34,14 @@ from m100link.apps.ros2.graph import (
 )
 from m100link.apps.ros2.node import Node
 from m100link.apps.ros2.topics import INPUTS, OUTPUTS, SERVICES
+from m100link.apps.station import ros2 as station_ros2
+from m100link.apps.station.config import Settings
 from m100link.errors import M100Error, TaskRefused
 from m100link.log.cdr import encode
 from m100link.protocol.records import AccelerationMode
 from m100link.protocol.setpoint import Setpoint
 from tests.apps.agent.conftest import task_of
-from tests.apps.ros2.conftest import Program, Rig
+from tests.apps.ros2.conftest import Program, RecordingBus, Rig
 from tests.apps.ros2.test_actions import Client
 
 pytestmark = pytest.mark.anyio
@@ -921,3 +924,35 @@ async def end(world: World) -> None:
 async def test_what_nobody_wants_to_move_hovers(seed: int) -> None:
     async with Rig(firmware=FIRMWARE[seed % 3]).running() as rig:
         await fly(rig, seed)
+
+
+# -- the time of a virtual aircraft, for other nodes -----------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("settings", "virtual"),
+    [
+        (Settings(url="sim://"), True),
+        (Settings(url="sim://?firmware=2.3&latitude=52.1"), True),
+        (Settings(sim=True), True),
+        (Settings(url="/dev/ttyUSB0"), False),
+        (Settings(url="tcp://sim:5760"), False),
+    ],
+)
+async def test_a_virtual_aircraft_publishes_clock_whatever_its_url_says(
+    monkeypatch: pytest.MonkeyPatch, settings: Settings, virtual: bool
+) -> None:
+    """As the node of its station is made; a second aircraft of a station publishes none."""
+    async with Rig().running() as rig:
+        bus: Any = RecordingBus()
+        bus.missing = {}
+
+        @asynccontextmanager
+        async def opened(*_: object) -> AsyncIterator[Any]:
+            yield bus
+
+        monkeypatch.setattr(station_ros2, "open_ros2", opened)
+        agents = {"a1": rig.client, "a2": rig.client}
+        async with station_ros2.serving_ros2(agents, settings):
+            clocks = [key for key in bus.outlets if key.split("/")[1] == "clock"]
+        assert len(clocks) == virtual
