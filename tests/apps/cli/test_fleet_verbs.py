@@ -30,7 +30,7 @@ from m100link.apps.cli.terminal import ExitCode
 from m100link.apps.fleet import pki
 from m100link.apps.fleet.client import Fleet
 from m100link.apps.fleet.payloads import Card, Result
-from m100link.apps.fleet.revocations import LIST
+from m100link.apps.fleet.revocations import LIST, Revocations
 from m100link.sim.clock import VirtualClockEventLoop
 from tests.apps.bus.memory import MemoryNetwork
 from tests.apps.cli.conftest import CommandLine
@@ -227,9 +227,7 @@ def test_an_audit_log_is_told_with_the_times_of_order_and_outcome(
         return {"a1": merged}
 
     monkeypatch.setattr(fleet_verbs, "results_of", results_of)
-    monkeypatch.setattr(
-        fleet_verbs.Revocations, "of_folder", lambda _: SimpleNamespace(authority=0)
-    )
+    monkeypatch.setattr(Revocations, "of_folder", lambda _: SimpleNamespace(authority=0))
     outcome = cli("fleet", "log", "audit", "a1", "--table", "--output", "there")
     assert [line.split() for line in outcome.out.splitlines()] == [
         ["a1", "Anna", "land", "2027-01-15", "07:59:50", "refused", "it", "was", "late"],
