@@ -155,7 +155,7 @@ async def is_set_within(event: asyncio.Event, seconds: float | None) -> bool:
 
 
 class Ended(asyncio.Event):
-    """Set by Ctrl-C and SIGTERM.
+    """Set by Ctrl-C, SIGTERM, and SIGHUP of a terminal that is closed.
 
     A task that has not come to wait for it yet is cancelled instead: it may wait for a router or an
     aircraft that never answers. Made in the task of the verb or process.
@@ -164,7 +164,7 @@ class Ended(asyncio.Event):
     def __init__(self, tell: Callable[[], object] = lambda: None) -> None:
         super().__init__()
         self._beginning, self._tell = asyncio.current_task(), tell
-        when_signalled(self.end, "SIGINT", "SIGTERM")
+        when_signalled(self.end, "SIGINT", "SIGTERM", "SIGHUP")
 
     def end(self) -> None:
         """Set it, as a signal does."""
@@ -212,6 +212,7 @@ def when_signalled(act: Callable[[], object], *names: str) -> None:
     """Call ``act`` in the running event loop when one of these signals comes.
 
     A system lacks some. Ctrl-Break of Windows, where nobody sends SIGTERM, is always among them.
+    SIGHUP stays ignored where it is: nohup lets a program outlive its terminal.
     """
     loop = asyncio.get_running_loop()
 
@@ -221,6 +222,8 @@ def when_signalled(act: Callable[[], object], *names: str) -> None:
     if sys.platform == "win32":
         look()
     for number in (getattr(signal, name) for name in (*names, "SIGBREAK") if hasattr(signal, name)):
+        if number.name == "SIGHUP" and signal.getsignal(number) is signal.SIG_IGN:
+            continue
         if sys.platform == "win32":
             signal.signal(number, lambda *_: loop.is_closed() or loop.call_soon_threadsafe(act))
         else:

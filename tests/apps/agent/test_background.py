@@ -9,6 +9,7 @@ import signal
 import pytest
 
 from m100link.apps.agent.background import (
+    Ended,
     SparingLogger,
     TaskSet,
     TokenBucket,
@@ -213,3 +214,19 @@ def test_a_signal_acts_in_the_loop_and_one_that_the_system_lacks_is_passed_over(
             asyncio.get_running_loop().remove_signal_handler(signal.SIGUSR2)
 
     assert asyncio.run(hears())  # virtual time asks no system what came
+
+
+@pytest.mark.parametrize("is_ignored", [False, True])
+def test_a_closed_terminal_ends_what_was_not_begun_by_nohup(*, is_ignored: bool) -> None:
+    async def ends() -> bool:
+        ended = Ended()
+        waiting = asyncio.create_task(is_set_within(ended, 0.05 if is_ignored else PATIENCE))
+        await asyncio.sleep(0.0)  # it waits
+        signal.raise_signal(signal.SIGHUP)
+        return await waiting
+
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN if is_ignored else signal.SIG_DFL)
+    try:
+        assert asyncio.run(ends()) is not is_ignored
+    finally:
+        signal.signal(signal.SIGHUP, before)

@@ -180,7 +180,7 @@ def test_without_the_package_it_says_what_to_install() -> None:
 
 
 @pytest.mark.anyio
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 async def test_a_signal_ends_it_and_control_goes_back(number: signal.Signals) -> None:
     process = await asyncio.create_subprocess_exec(
         *(*COMMAND, "serve", "--sim", "--port", "0", "--json"),
