@@ -341,7 +341,7 @@ async def test_everything_greys_when_the_station_is_gone(console: Console) -> No
     await page.click("#page-lost-seen")
     await page.wait_for_function("window.m100.heard.level === ''")
     with suppress(ProcessLookupError):
-        os.kill(front, signal.SIGTERM)  # by itself it would say so for a minute
+        os.kill(front, signal.SIGTERM)  # by itself it would say so for 5 s
     console.watch.newest.clear()
 
 

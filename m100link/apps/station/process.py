@@ -37,7 +37,7 @@ from m100link.errors.texts import read_json
 LEASES_PER_START = 1_000_000
 """Numbers of leases that one process may use: the lease of one that died never fits another."""
 
-AFTERLIFE = 60.0  # seconds that fronts tell of an agent that has gone, before they end
+AFTERLIFE = 5.0  # seconds that fronts tell of an agent that has gone, before they end
 
 _CHECK = 0.25
 

@@ -30,6 +30,7 @@ from m100link.errors import M100Error, UsageError
 from m100link.log import read
 from tests.apps.agent.conftest import task_of
 from tests.apps.station.conftest import apart, several
+from tests.attacks.losses import front_of
 from tests.sockets import connect
 from tests.waiting import PATIENCE, until
 
@@ -207,6 +208,7 @@ async def test_an_agent_that_is_killed_is_reported_by_its_front_and_its_port_is_
     async with connect(url) as client:
         pilot = Pilot(client)
         assert (await pilot.call("/dji_sdk/query_drone_version"))["result"] is True
+        front = front_of(process)
         process.kill()
         await process.wait()
         answer = await pilot.call("/dji_sdk/query_drone_version")
@@ -224,6 +226,7 @@ async def test_an_agent_that_is_killed_is_reported_by_its_front_and_its_port_is_
         async with asyncio.timeout(PATIENCE):
             while not await is_served_anew():  # noqa: ASYNC110 - another process has no event
                 await asyncio.sleep(0.1)
+    await until(lambda: not Path(f"/proc/{front}/exe").exists())  # nobody is left to talk to
 
 
 @pytest.mark.parametrize("with_console", [False, True])

@@ -75,7 +75,7 @@ async def left_alone(browser: Any, *options: str, choose: str = "") -> AsyncIter
         await process.wait()
         await page.wait_for_selector("#page-lost:visible")
         with contextlib.suppress(ProcessLookupError):
-            os.kill(front, signal.SIGKILL)  # by itself it would say for a minute what is missing
+            os.kill(front, signal.SIGKILL)  # by itself it would say for 5 s what is missing
         await page.wait_for_function(IS_GONE)
         await page.goto(page.url)
         yield page
