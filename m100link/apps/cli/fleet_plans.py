@@ -13,9 +13,8 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from m100link.apps.agent.background import when_signalled
 from m100link.apps.agent.orders import AskVersion, Order, Right
-from m100link.apps.cli.common import EnvelopeOptions, err, out, run_async
+from m100link.apps.cli.common import EnvelopeOptions, ended_by_signal, err, out, run_async
 from m100link.apps.cli.fleet import (
     NO_OPTIONS,
     FleetOptions,
@@ -35,12 +34,7 @@ from m100link.apps.cli.terminal import ExitCode, ReaderGone, as_json, print_json
 from m100link.apps.fleet.missions.flight import FleetMission, MissionOrders
 from m100link.apps.fleet.payloads import MissionCard, MissionStage, OrderReply, ShowStage
 from m100link.apps.fleet.show.conductor import Conductor
-from m100link.apps.fleet.show.plan.document import (
-    Report,
-    Show,
-    imported,
-    svg,
-)
+from m100link.apps.fleet.show.plan.document import Report, Show, imported, svg
 from m100link.apps.fleet.show.plan.document import check as report_on
 from m100link.apps.fleet.show.plan.track import BadShow
 from m100link.apps.fleet.show.track_executor import Leave
@@ -79,9 +73,7 @@ def fly(
         _confirm(name, found, take_off=take_off or found.take_off)
 
     async def run() -> int:
-        here = asyncio.current_task()
-        assert here is not None
-        when_signalled(here.cancel, "SIGTERM")
+        ended_by_signal()
         try:
             async with options.open() as fleet, fleet[name].control(take_over=take_over) as control:
                 with shared(options.place, name, control.proof):
@@ -90,7 +82,7 @@ def fly(
                     async with mission:
                         async for event in mission:
                             show.tell(event)
-        except asyncio.CancelledError:  # by SIGTERM, or Ctrl-C
+        except asyncio.CancelledError:  # by a signal
             say(show.stopped(), to=err)
             return ExitCode.INTERRUPTED
         except ReaderGone:  # elsewhere that is success; here it ended a flight
@@ -403,17 +395,16 @@ def fly_show(
         _ask(f"{names} may take off", question)
 
     async def run() -> int:
-        async with options.open() as fleet:
-            conductor = Conductor(
-                fleet.bus,
-                options.place,
-                options.who,
-                found,
-                leave=leave,
-                sign=options.credentials.get("sign"),
-                tell=partial(say, to=err),
-            )
-            parts = await conductor.fly()
+        ended_by_signal()
+        how: dict[str, Any] = {"leave": leave, "sign": options.credentials.get("sign")}
+        try:
+            async with options.open() as fleet:
+                conductor = Conductor(
+                    fleet.bus, options.place, options.who, found, tell=partial(say, to=err), **how
+                )
+                parts = await conductor.fly()
+        except asyncio.CancelledError:  # by a signal
+            return ExitCode.INTERRUPTED
         for part in parts.values():
             stage = "silent" if part.stage is None else part.stage.value
             words = part.why or f"at most {part.farthest_m:.2f} m from its track"

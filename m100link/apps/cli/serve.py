@@ -313,10 +313,7 @@ def settings_of(
     flags = {name: value for name, value in asked.items() if name in known and value != ()}
     configuration = read_configuration()
     settings = resolve(
-        flags | more,
-        os.environ,
-        launch=launch,
-        of_aircraft=configuration.sources_of_station,
+        flags | more, os.environ, launch=launch, of_aircraft=configuration.sources_of_station
     )
     if settings.record is None and hasattr(options, "no_record") and not settings.no_record:
         from m100link.log.folder import default_folder  # decoding a frame needs none

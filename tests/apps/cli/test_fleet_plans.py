@@ -230,7 +230,7 @@ def test_it_flies_to_its_end_and_is_paused_from_another_shell(site: Site, plan: 
 
 @needs_zenoh
 @pytest.mark.pty
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGHUP, signal.SIGTERM, signal.SIGKILL])
 def test_whatever_ends_the_command_ends_the_mission(
     site: Site, plan: Path, how: signal.Signals
 ) -> None:

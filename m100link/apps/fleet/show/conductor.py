@@ -120,7 +120,12 @@ class Conductor:
             raise
         finally:
             attending.cancel()
-        return dict(zip(self._tracks, await self._each(self._watch), strict=True))
+        try:
+            return dict(zip(self._tracks, await self._each(self._watch), strict=True))
+        except asyncio.CancelledError:
+            names = ", ".join(sorted(self._flying))
+            self._tell(f"{names}: the show goes on; m100link fleet stop --all stops them")
+            raise
 
     async def _attend(self) -> None:
         """Be heard by those that are ready while others are not: they would leave."""

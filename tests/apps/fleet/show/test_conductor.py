@@ -284,6 +284,19 @@ async def test_a_conductor_that_is_ended_lets_all_of_them_leave(rig: Rig, when: 
         assert {one.performer.stage for one in made.performing} == {ShowStage.LEFT}
 
 
+async def test_a_conductor_that_is_ended_later_names_those_that_fly_on(rig: Rig) -> None:
+    """Its operator meant to end the show, and has to know that it goes on."""
+    async with company(rig, 2) as made:
+        conducting = asyncio.ensure_future(made.conductor(leave="hover").fly())
+        await rig.until(lambda: any("begins in" in one for one in made.told))
+        await anyio.sleep(7.0)
+        conducting.cancel()
+        await asyncio.gather(conducting, return_exceptions=True)
+        assert made.told[-1] == "a1, a2: the show goes on; m100link fleet stop --all stops them"
+        await anyio.sleep(2.0)
+        assert {one.performer.stage for one in made.performing} == {ShowStage.FLYING}
+
+
 async def test_a_network_that_is_too_slow_to_tell_the_time_begins_nothing(rig: Rig) -> None:
     async with company(rig, 1) as made:
         rig.network.weather = Weather(delay_s=0.08)
