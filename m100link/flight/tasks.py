@@ -179,12 +179,7 @@ async def _phase_shown(state: AircraftState) -> FlightPhase | None:
 class _Watch:
     """Waits for the end of one task: by result query, and by what telemetry shows."""
 
-    def __init__(
-        self,
-        commander: Commander,
-        task: Task,
-        progress: TaskListener | None,
-    ) -> None:
+    def __init__(self, commander: Commander, task: Task, progress: TaskListener | None) -> None:
         self._commander = commander
         self._state = commander.state
         self._task = task

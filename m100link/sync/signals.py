@@ -78,6 +78,9 @@ class SyncSignals(OtherWatch):
         with self._changes:
             self._aircraft = [*self._aircraft, aircraft]
         self._take()
+        shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
+        if shell is not None:  # a cell that only computes calls nothing here, and a mission flies
+            shell.events.register("pre_run_cell", self.take_again)
 
     def closed(self, aircraft: object) -> None:
         """It will not fly any more."""
@@ -85,7 +88,7 @@ class SyncSignals(OtherWatch):
             self._aircraft = [other for other in self._aircraft if other is not aircraft]
         self._put_back()
 
-    def take_again(self) -> None:
+    def take_again(self, *_: object) -> None:
         """Take what was put back meanwhile: a notebook does so with SIGINT behind every cell."""
         if self._aircraft and threading.current_thread() is threading.main_thread():
             self._take()

@@ -3,7 +3,8 @@ from __future__ import annotations
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -85,6 +86,28 @@ def test_a_block_that_has_ended_does_not_keep_signals_from_acting(watch: SyncSig
     assert block.interrupted == 0
     block.end()
     watch.leave(block)
+
+
+def test_each_cell_of_a_notebook_takes_again_what_was_put_back_before_it(
+    watch: SyncSignals, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A cell that only sleeps calls no method of an aircraft, whose mission flies meanwhile."""
+    begins: dict[str, Callable[..., object]] = {}
+    shell = SimpleNamespace(events=SimpleNamespace(register=begins.__setitem__))
+    monkeypatch.setitem(sys.modules, "IPython", SimpleNamespace(get_ipython=lambda: shell))
+    before, aircraft, block = signal.getsignal(signal.SIGINT), object(), Block()
+    watch.connected(aircraft)
+    watch.join(block)
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # as ipykernel does
+    begins["pre_run_cell"]("about the cell")
+    with pytest.raises(KeyboardInterrupt):
+        signal.raise_signal(signal.SIGINT)
+    assert block.interrupted == 1
+    block.end()
+    watch.leave(block)
+    watch.closed(aircraft)
+    begins["pre_run_cell"]("about the cell")
+    assert signal.getsignal(signal.SIGINT) == before
 
 
 def test_a_second_block_goes_on_being_watched(watch: SyncSignals) -> None:
