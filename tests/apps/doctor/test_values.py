@@ -5,6 +5,8 @@ from __future__ import annotations
 import asyncio
 import math
 import os
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -46,9 +48,12 @@ from m100link.errors import (
     AuthorityRefused,
     BadURL,
     CommandRefused,
+    GuardRefused,
+    KeyRejected,
     LinkLost,
     M100Error,
     NoAircraft,
+    NotActivated,
     PortBusy,
     UsageError,
 )
@@ -63,6 +68,7 @@ from m100link.protocol.records import (
     AngularVelocity,
     Attitude,
     ControlDevice,
+    RcMode,
     RemoteControl,
     Velocity,
     quaternion,
@@ -314,6 +320,132 @@ async def test_an_aircraft_that_never_answered_was_heard_or_not(
     assert seen in found.seen
     if frames:
         assert found.details == {"bytes": 70, "frames": 7}
+
+
+class Talk(SimpleNamespace):
+    """An aircraft that answers all a diagnosis asks, but for the calls that raise an error."""
+
+    def __init__(self, met: dict[str, Exception]) -> None:
+        reader = SimpleNamespace(
+            has_arrived=True, mode=AccelerationMode.FUSED, seen=AccelerationMode.FUSED
+        )
+        super().__init__(
+            met=met,
+            closed=0,
+            bytes_received=0,
+            firmware=PROFILES["3.1"],
+            telemetry_mismatches=0,
+            _telemetry=SimpleNamespace(acceleration=reader),
+            link=SimpleNamespace(
+                latency=SimpleNamespace(is_slow=False, round_trip_s=0.01, slack_s=0.0)
+            ),
+            state=SimpleNamespace(fresh={RemoteControl: held()}.get),
+        )
+
+    def _asked(self, name: str) -> None:
+        if name in self.met:
+            raise self.met[name]
+
+    @asynccontextmanager
+    async def telemetry(self, *_: object, **__: object) -> AsyncIterator[Any]:
+        yield None
+
+    def statistics(self) -> Any:
+        self.bytes_received += 5
+        return SimpleNamespace(
+            bytes_received=self.bytes_received, acks=3, expired=2, repeats=4, late_acks=1
+        )
+
+    async def version(self) -> Any:
+        self._asked("version")
+        profile = self.firmware
+        return SimpleNamespace(name="M100", crc_matches=True, profile=profile, is_activated=True)
+
+    async def activate(self, _: object, *, timeout: float) -> None:
+        self._asked("activate")
+
+    async def execute(self, what: object, *, encrypted: bool, tries: int) -> None:
+        assert (type(what).__name__, encrypted, tries) == ("GetVersion", True, 2)
+        self._asked("execute")
+
+    @asynccontextmanager
+    async def control(self) -> AsyncIterator[None]:
+        self._asked("control")
+        yield
+
+    async def aclose(self) -> None:
+        self.closed += 1
+
+
+TALKED = [Stage.VERSION, Stage.FIRMWARE, Stage.ACCELERATION, Stage.ACTIVATION, Stage.KEY]
+TALKED += [Stage.MODE_SWITCH, Stage.AUTHORITY]
+COUNTERS = "m100link info PORT shows the counters of the line"
+
+
+@pytest.mark.parametrize(
+    ("met", "stage", "verdict", "seen", "command"),
+    [
+        ({}, "AUTHORITY", GOOD, "obtained, and given back at once", ""),
+        ({"connect": PortBusy("in use")}, "VERSION", FAILED, "in use", ""),
+        ({"version": LinkLost("gone")}, "VERSION", FAILED, "gone", "dmesg | tail"),
+        ({"version": M100Error("odd")}, "VERSION", FAILED, "odd", COUNTERS),
+        ({"version": AckTimeout("none")}, "VERSION", FAILED, "has answered 3 of 5", "check plugs"),
+        ({"activate": LinkLost("gone")}, "ACTIVATION", FAILED, "gone", "dmesg | tail"),
+        ({"activate": AckTimeout("none")}, "ACTIVATION", FAILED, "answered 3 of 5", "check plugs"),
+        ({"execute": LinkLost("gone")}, "KEY", FAILED, "gone", "dmesg | tail"),
+        ({"execute": KeyRejected("no")}, "KEY", DOUBTFUL, "got no usable answer", "compare the"),
+        ({"control": LinkLost("gone")}, "AUTHORITY", FAILED, "gone", "dmesg | tail"),
+        ({"control": NotActivated("not")}, "AUTHORITY", FAILED, "not", ""),
+        ({"control": KeyRejected("no")}, "AUTHORITY", FAILED, "no", ""),
+        ({"control": GuardRefused("no")}, "AUTHORITY", FAILED, "no", COUNTERS),
+    ],
+)
+async def test_an_error_of_a_stage_is_its_finding_and_the_aircraft_is_let_go(
+    met: dict[str, Exception],
+    stage: str,
+    verdict: Verdict,
+    seen: str,
+    command: str,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    talk = Talk(met)
+
+    async def connect(url: str, **_: object) -> Any:
+        assert url == "tcp://h:1"
+        talk._asked("connect")
+        return talk
+
+    async def stands(_: object) -> bool:
+        return True
+
+    monkeypatch.setattr(diagnosis, "connect", connect)
+    monkeypatch.setattr(diagnosis, "stands", stands)
+    monkeypatch.setattr(diagnosis, "_at_rest", lambda _: None)
+    how: dict[str, Any] = {"baud_rate": None, "firmware": None, "acceleration": None}
+    key = Credentials(777_777, "5a" * 32)
+    looked = diagnosis.look_at_aircraft("tcp://h:1", **how, credentials=key, authority=True)
+    all_found = [one async for one in looked]
+    found = next(one for one in all_found if one.stage is Stage[stage])
+    assert (found.verdict, seen in found.seen) == (verdict, True)
+    assert not command or any(command in one for one in found.commands)
+    is_end = verdict is FAILED
+    ends_at = TALKED.index(Stage[stage]) + 1 if is_end else len(TALKED)
+    assert [one.stage for one in all_found] == TALKED[:ends_at]
+    assert talk.closed == ("connect" not in met)
+
+
+async def test_what_cannot_be_asked_of_the_aircraft_is_no_finding(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async def connect(_: str, **__: object) -> Any:
+        raise UsageError("no such firmware")
+
+    monkeypatch.setattr(diagnosis, "connect", connect)
+    nothing: dict[str, Any] = dict.fromkeys(
+        ("baud_rate", "firmware", "credentials", "acceleration", "authority")
+    )
+    with pytest.raises(UsageError, match="no such firmware"):
+        _ = [one async for one in diagnosis.look_at_aircraft("sim://", **nothing)]
 
 
 # -- the port -------------------------------------------------------------------------------------
@@ -968,6 +1100,131 @@ def test_items_that_come_at_another_rate_are_named_and_absent_ones_are_not_liste
     assert found is None or sorted(what.split(", ")) == sorted(found.split(", "))
     here = {name: rate for name, rate in (usual | rates).items() if rate}
     assert figures == (", ".join(f"{name} {rate}" for name, rate in here.items()) or seen)
+
+
+@pytest.mark.parametrize(
+    ("has_key", "knows", "is_there", "agrees", "met", "why"),
+    [
+        (False, True, True, True, None, "no app id and key were given"),
+        (True, False, True, True, None, "its firmware is unknown: nothing is asked of it"),
+        (True, True, False, True, None, "it is not seen standing with its motors off"),
+        (True, True, None, True, None, "it is not seen standing with its motors off"),
+        (True, True, True, False, None, "the person did not want it"),
+        (True, True, True, True, CommandRefused("refused", code=1), "refused"),
+        (True, True, True, True, None, ""),
+    ],
+)
+async def test_control_is_asked_of_an_aircraft_that_stands_with_the_word_of_its_person(
+    has_key: bool,
+    knows: bool,
+    is_there: bool | None,
+    agrees: bool,
+    met: Exception | None,
+    why: str,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    steps: list[str] = []
+
+    async def stands(_: object) -> bool | None:
+        return is_there
+
+    async def asked(text: str) -> bool:
+        assert text.startswith("May I ask the aircraft for control authority")
+        steps.append("asked")
+        return agrees
+
+    async def activate(_: object, *, timeout: float) -> None:
+        steps.append("activated")
+        if met is not None:
+            raise met
+
+    monkeypatch.setattr(first_contact, "stands", stands)
+    there = SimpleNamespace(
+        state=None, activate=activate, _requests=SimpleNamespace(knows_firmware=knows)
+    )
+    one, _ = meeting(_aircraft=there, _asked=asked)
+    key = Credentials(777_777, "5a" * 32) if has_key else None
+    assert await _Meeting._obstacle(one, key) == why
+    wanted = ["asked", "activated"] if has_key and knows and is_there else []
+    assert steps == (wanted if agrees else wanted[:1])
+
+
+@pytest.mark.parametrize("what", ["_obstacle", "_latency"])
+async def test_a_line_that_goes_is_no_answer_of_the_aircraft(
+    what: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def stands(_: object) -> bool:
+        return True
+
+    async def gone(*_: object, **__: object) -> Any:
+        raise LinkLost("gone")
+
+    monkeypatch.setattr(first_contact, "stands", stands)
+    requests = SimpleNamespace(knows_firmware=True)
+    there = SimpleNamespace(state=None, activate=gone, version=gone, _requests=requests)
+    one, told = meeting(_aircraft=there, _asked=yes, _clock=lambda: 0.0)
+    key = [Credentials(777_777, "5a" * 32)] if what == "_obstacle" else []
+    with pytest.raises(LinkLost):
+        await getattr(_Meeting, what)(one, *key)
+    assert told == []
+
+
+@pytest.mark.parametrize(
+    ("switch", "is_there", "codes", "error", "twice", "found", "seen", "back"),
+    [
+        (None, True, [2], "", True, "", "the switch is not told", None),
+        (A, True, [2], "", True, "", "the switch is in A", None),
+        (F, False, [2], "", True, "", "it is not seen standing with its motors off", None),
+        (F, True, [3, 2], "", True, "obtained", "3, 2", True),
+        (F, True, [0], "", True, "refused", "0", None),
+        (F, True, [201], "", True, "refused", "201", None),  # a mode of flight of the remote
+        (F, True, [3, 3], "", True, "in progress for ever", "3, 3", False),
+        (F, True, [3, 3], "", False, "refused", "3, 3", None),
+        (F, True, [], "no answer", True, "", "none; no answer", False),
+        (F, True, [0], "no answer", True, "refused", "0; no answer", False),
+    ],
+)
+async def test_what_was_asked_for_goes_back_unless_it_was_refused(
+    switch: int | None,
+    is_there: bool,
+    codes: list[int],
+    error: str,
+    twice: bool,
+    found: str,
+    seen: str,
+    back: bool | None,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A refusal says nothing of a later request that has no answer. ``back``: held, or None."""
+    given: list[bool] = []
+    steps: list[str] = []
+
+    async def stands(_: object) -> bool:
+        return is_there
+
+    async def requested(into: list[int], *, is_wanted: bool) -> str:
+        assert is_wanted
+        into += codes
+        one._is_asking = bool(error)
+        return error
+
+    async def give_back(*, is_held: bool) -> None:
+        given.append(is_held)
+
+    async def again() -> None:
+        steps.append("again")
+
+    monkeypatch.setattr(first_contact, "stands", stands)
+    rc = None if switch is None else held(mode=switch)
+    one, told = meeting(
+        _aircraft=SimpleNamespace(state=SimpleNamespace(fresh=lambda _: rc)),
+        **{"_asked": yes, "_say": steps.append, "_again": again, "_asks_twice": twice},
+        **{"_requested": requested, "_give_back": give_back, "_is_asking": False},
+    )
+    await _Meeting._obtain_in(one, Topic.OBTAIN_F, RcMode.F)
+    assert told == [(Topic.OBTAIN_F, found, seen)]
+    assert given == ([] if back is None else [back])
+    assert (len(steps) == 2 and steps[-1] == "again") is (found == "obtained")
 
 
 def test_each_limit_is_as_agreed() -> None:
