@@ -9,31 +9,36 @@ import asyncio
 import json
 import shlex
 import sys
+import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import AsyncExitStack, asynccontextmanager
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
 
-from m100link.apps.cli import fleet_setup, flight, serve, sim
+from m100link.apps.cli import fleet_plans, fleet_setup, fleet_verbs, flight, serve, sim
 from m100link.apps.cli.terminal import ExitCode
 from m100link.apps.fleet.logs.fetching import Fetched
 from m100link.apps.fleet.lost_link import LostLinkPlan
-from m100link.apps.fleet.payloads import MissionCard, MissionStage, Result
+from m100link.apps.fleet.payloads import Card, MissionCard, MissionStage, Result, ShowStage
+from m100link.apps.fleet.show.conductor import Part
+from m100link.apps.station.config import Settings
 from m100link.apps.station.fleet import default_order_logs
+from m100link.apps.station.fleet_file import FleetFault
 from m100link.errors import MissionRefused
 from m100link.flight.control import Control
 from m100link.flight.mission_state import MissionKind
 from m100link.flight.missions.events import ActionsDone, Finished, Reached
 from m100link.log.folder import LogEntry, default_folder
-from m100link.protocol import FlightPhase, FlightStatus, Gimbal
+from m100link.protocol import Battery, FlightPhase, FlightStatus, Gimbal
 from m100link.protocol.firmware import PROFILES
 from m100link.sim.clock import VirtualClockEventLoop
 from m100link.sim.vehicle.activation import DEMO_APP_ID, DEMO_KEY
 from tests.apps.cli.conftest import CommandLine
+from tests.apps.fleet.show.shows import FIVE
 from tests.flight.missions.foreign import plan as short_plan
 
 HERE, KEY = "tcp://127.0.0.1:9", "0f" * 32
@@ -364,6 +369,13 @@ def fleet_of(notes: Notes) -> Any:
         async def control(*, take_over: bool = False) -> AsyncIterator[Any]:
             notes.note(f"{name}.control", take_over=take_over)
             steps = notes.awaited(None, "fly_to")
+
+            def waypoint_mission(plan: Any, **how: object) -> Any:
+                assert plan == short_plan()
+                notes.note(f"{name}.waypoint_mission", **how)
+                return Flown()
+
+            steps["waypoint_mission"] = waypoint_mission
             yield SimpleNamespace(fence=7, proof=(7, "secret"), **steps)
             notes.note(f"{name}.released")
 
@@ -379,6 +391,8 @@ def fleet_of(notes: Notes) -> Any:
             name=name,
             control=control,
             fetch_log=fetch_log,
+            asker=SimpleNamespace(**notes.awaited(None, "ask")),
+            audit=f"the log of {name}",
             stop=notes.awaited(None, f"{name}.stop")[f"{name}.stop"],
             mission=notes.awaited(
                 replace(card, index=2, elapsed_s=61.4, distance_m=12.6), "mission"
@@ -404,7 +418,11 @@ def fleet_of(notes: Notes) -> Any:
     async def present() -> list[str]:
         return ["a1", "a2"]
 
-    return There(each=each, names=present)
+    async def cards() -> dict[str, Card]:
+        return {name: Card(name, "run", 0.0, "connected", height_m=9.96) for name in ("a2", "a10")}
+
+    keys = SimpleNamespace(site="site")
+    return There(each=each, names=present, cards=cards, present={"a1"}, bus="bus", keys=keys)
 
 
 @pytest.fixture
@@ -414,9 +432,35 @@ def fleet(cli: CommandLine, monkeypatch: pytest.MonkeyPatch, notes: Notes) -> No
         notes.note("connect", *places, **{k: how[k] for k in ("site", "name", "patience")})
         yield fleet_of(notes)
 
+    class Heard(SimpleNamespace):
+        """The telemetry of a fleet, of which two packages come at once."""
+
+        def __init__(
+            self, bus: object, keys: Any, *, full: bool = False, on_sample: Any = None
+        ) -> None:
+            notes.note("hear", bus, getattr(keys, "name", "all"), full=full)
+            super().__init__(states={"a3": None}, received={"a1": 2, "a3": 0})
+            for _ in range(2 if on_sample else 0):
+                on_sample("a1", SimpleNamespace(received_at=1.5, get={Battery: Battery(87)}.get))
+
+        def close(self) -> None:
+            notes.note("closed")
+
     monkeypatch.setattr("m100link.apps.cli.fleet.connect", connect)
+    monkeypatch.setattr(fleet_verbs, "FleetTelemetry", Heard)
+    monkeypatch.setattr(fleet_verbs, "ended_by_signal", Over)
+    monkeypatch.setattr(fleet_plans, "borrowed", lambda *where: (len(where[0]), f"of {where[1]}"))
+    monkeypatch.setattr(time, "time", lambda: 0.0)
     monkeypatch.setattr("getpass.getuser", lambda: "anna")
     monkeypatch.setattr("platform.node", lambda: "gcs")
+
+
+def _order(at: float, order: str, outcome: str, **more: str) -> dict[str, Any]:
+    return {"at": at, "order": order, "outcome": outcome, "by": "x", "signer": "anna"} | more
+
+
+def settings_default(name: str) -> Any:
+    return Settings.__dataclass_fields__[name].default
 
 
 FLEET = "connect('tcp/127.0.0.1:7447', site='site', name='anna@gcs', patience=10.0)"
@@ -447,16 +491,46 @@ ORDERS = [
         ["mission()"],
         "a1: flying, 2 of 4 waypoints, 61 s, 13 m to waypoint 2",
     ),
+    (
+        "mission pause a1",
+        ["ask(AskVersion())", "ask(PauseMission(), fence=4, token='of a1')"],
+        "a1: paused",
+    ),
+    (
+        "mission resume a2 --site north",
+        ["ask(AskVersion())", "ask(ResumeMission(), fence=5, token='of a2')"],
+        "a2: it goes on",
+    ),
+    (
+        "mission fly a1 PLAN --yes",
+        ["a1.control(take_over=False)", "a1.waypoint_mission(take_off=False)", "a1.released()"],
+        "a1: 2 of 4  finished",
+    ),
+    (
+        "mission fly a1 PLAN --yes --takeoff --take-over",
+        ["a1.control(take_over=True)", "a1.waypoint_mission(take_off=True)", "a1.released()"],
+        "a1: 1 of 4  reached 0",
+    ),
+    (
+        "lease a1 --take-over",
+        ["a1.control(take_over=True)", "a1.released()"],
+        "a1: lease 7, until Ctrl-C",
+    ),
+    ("list", [], "a10   connected         10.0 m"),
+    ("watch a1 --json", ["hear('bus', 'a1', full=True)", "closed()"], '"battery": {"percent"'),
+    ("monitor --json", ["hear('bus', 'all', full=False)"], ""),
 ]
 
 
 @pytest.mark.parametrize(("words", "calls", "says"), ORDERS, ids=[row[0] for row in ORDERS])
 @pytest.mark.usefixtures("fleet")
 def test_what_a_fleet_is_asked(
-    cli: CommandLine, notes: Notes, words: str, calls: list[str], says: str
+    cli: CommandLine, notes: Notes, plan_file: str, words: str, calls: list[str], says: str
 ) -> None:
-    outcome = cli("fleet", *words.split(), "--table")
-    assert (outcome.status, notes) == (0, [FLEET, *calls]), outcome
+    form = () if "--json" in words else ("--table",)
+    outcome = cli("fleet", *words.replace("PLAN", plan_file).split(), *form)
+    site = "north" if "north" in words else "site"
+    assert (outcome.status, notes) == (0, [FLEET.replace("='site'", f"='{site}'"), *calls]), outcome
     assert says in outcome.out
 
 
@@ -481,6 +555,181 @@ def test_what_no_fleet_is_asked(cli: CommandLine, notes: Notes, words: str, says
     outcome = cli("fleet", *words.split())
     assert (outcome.status, notes) == (ExitCode.USAGE, [])
     assert says in outcome.err
+
+
+AUDITED: list[tuple[dict[str, tuple[list[dict[str, Any]], list[str]]], int, list[str], list[str]]]
+AUDITED = [
+    (
+        {
+            "a1": ([_order(60.0, "land", "ok"), {"at": 10.0, "start": 1}], []),
+            "a2": ([_order(0.0, "take_off", "refused", why="no GPS")], []),
+        },
+        ExitCode.OK,
+        [
+            "1970-01-01 00:00:00  a2       anna         take_off         refused  no GPS",
+            "1970-01-01 00:01:00  a1       anna         land             ok",
+        ],
+        [],
+    ),
+    ({"a1": ([], ["line 3 is altered"])}, ExitCode.FAILED, [], ["a1: line 3 is altered"]),
+]
+
+
+@pytest.mark.parametrize(("merged", "status", "told", "wrong"), AUDITED)
+@pytest.mark.usefixtures("fleet")
+def test_orders_of_all_are_told_by_their_time_and_what_is_wrong_fails(
+    cli: CommandLine,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    merged: Any,
+    status: int,
+    told: list[str],
+    wrong: list[str],
+) -> None:
+    async def merge(path: Path, name: str, fetch: object, authority: object) -> Any:
+        assert (path, fetch) == (tmp_path / f"{name}.audit", f"the log of {name}")
+        assert authority == f"authority of {tmp_path / 'pki'}"
+        return merged[name]
+
+    def of_folder(folder: Path) -> Any:
+        return SimpleNamespace(authority=f"authority of {folder}")
+
+    monkeypatch.setattr(fleet_verbs, "merge_audit", merge)
+    monkeypatch.setattr(fleet_verbs, "Revocations", SimpleNamespace(of_folder=of_folder))
+    words = ["--output", str(tmp_path), "--pki", str(tmp_path / "pki"), "--table"]
+    outcome = cli("fleet", "log", "audit", *merged, *words)
+    assert (outcome.status, outcome.out.splitlines()) == (status, told), outcome
+    assert outcome.err.splitlines() == wrong
+
+
+FLOWN = Part("a1", ShowStage.FLOWN, farthest_m=0.456)
+SHOWN_PARTS: list[tuple[list[Part], int, list[str]]] = [
+    ([FLOWN], ExitCode.OK, ["a1: flown, at most 0.46 m from its track"]),
+    (
+        [FLOWN, replace(FLOWN, name="a2", why="it did not land")],
+        ExitCode.FAILED,
+        ["a1: flown, at most 0.46 m from its track", "a2: flown, it did not land"],
+    ),
+    ([Part("a1", ShowStage.LEFT, why="wind")], ExitCode.FAILED, ["a1: left, wind"]),
+    ([Part("a1", None, why="it is gone")], ExitCode.FAILED, ["a1: silent, it is gone"]),
+]
+
+
+@pytest.mark.parametrize(("parts", "status", "told"), SHOWN_PARTS)
+@pytest.mark.usefixtures("fleet")
+def test_a_show_is_success_if_all_flew_to_its_end(
+    cli: CommandLine,
+    monkeypatch: pytest.MonkeyPatch,
+    parts: list[Part],
+    status: int,
+    told: list[str],
+) -> None:
+    leave = "land" if len(parts) > 1 else "hover"
+
+    class Conducting:
+        def __init__(self, bus: object, site: str, who: str, show: Any, **how: Any) -> None:
+            assert (bus, site, who, how["leave"], how["sign"]) == (
+                *("bus", "site", "anna@gcs", leave, None),
+            )
+            assert [track.name for track in show.tracks] == ["a1", "a2", "a3", "a4", "a5"]
+
+        async def fly(self) -> dict[str, Part]:
+            return {one.name: one for one in parts}
+
+    monkeypatch.setattr(fleet_plans, "Conductor", Conducting)
+    words = ["--yes", "--table", *(["--leave", "hover"] if leave == "hover" else [])]
+    outcome = cli("fleet", "show", "fly", str(FIVE), *words)
+    assert (outcome.status, outcome.out.splitlines()) == (status, told), outcome
+
+
+FAULT = FleetFault("cut leg", "a2", "no agent named a2 is there", "look at the network")
+
+
+@pytest.mark.parametrize("form", ["--json", "--table"])
+@pytest.mark.parametrize("found", [[], [FAULT]])
+def test_a_fleet_without_a_fault_is_success(
+    cli: CommandLine,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    found: list[FleetFault],
+    form: str,
+) -> None:
+    async def examine(rights: Any, tell: Callable[[str], None]) -> list[FleetFault]:
+        assert rights.aircraft == ("a1",)
+        tell("anna by base: a1")
+        return found
+
+    monkeypatch.setattr(fleet_setup, "examine", examine)
+    (path := tmp_path / "fleet.toml").write_text("[aircraft.a1]\n")
+    outcome = cli("fleet", "doctor", str(path), form)
+    assert outcome.status == (ExitCode.FAILED if found else ExitCode.OK)
+    words = ["✓ anna by base: a1", *(f"✗ cut leg: {FAULT.seen}\n  {FAULT.remedy}" for _ in found)]
+    facts = asdict(FAULT) if found else {"ok": True}
+    told = [facts] if form == "--json" else "\n".join(words) + "\n"
+    assert (outcome.objects if form == "--json" else outcome.out) == told
+
+
+UP: list[tuple[str, list[str], dict[str, Any], str]] = [
+    ("", ["base", "a1", "a2", "console"], {}, "virtual aircraft: a1, a2"),
+    ("a1 console", ["a1", "console"], {}, "virtual aircraft: a1"),
+    ("--real", ["base", "a1", "a2", "console"], {"a1": "tcp://a:1", "a2": "tcp://b:2"}, "real"),
+    ("base", ["base"], {}, "base: tls/h:1"),
+    ("a2 --real", ["a2"], {"a2": "tcp://b:2"}, "real aircraft: a2"),
+]
+
+
+@pytest.mark.parametrize(("words", "names", "urls", "says"), UP, ids=[row[0] for row in UP])
+def test_the_parts_of_a_fleet_file_come_up(
+    cli: CommandLine,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    words: str,
+    names: list[str],
+    urls: dict[str, str],
+    says: str,
+) -> None:
+    """Each in its process; one alone in this one. A virtual one has the firmware of the file."""
+    (path := tmp_path / "fleet.toml").write_text(
+        '[router.base]\nhosts = ["h"]\n[identity.bert]\n[console]\nidentity = "bert"\n'
+        '[aircraft.a1]\nurl = "tcp://a:1"\n[aircraft.a2]\nurl = "tcp://b:2"\nfirmware = "3.1"\n'
+        "max_height = 30\n"
+    )
+    began: list[tuple[dict[str, Any], bool]] = []
+
+    def facts(name: str) -> dict[str, Any]:
+        shown = {"base": {"base": "tls/h:1"}, "console": {"console": "http"}}
+        return shown.get(name, {"agent": ""})
+
+    @asynccontextmanager
+    async def several(_: Path, parts: Any, __: object, *, is_real: bool) -> AsyncIterator[Any]:
+        began.append((dict(parts), is_real))
+        yield {name: facts(name) for name in parts}
+
+    @asynccontextmanager
+    async def alone(
+        _: Path, name: str, settings: Any, __: object, *, is_real: bool
+    ) -> AsyncIterator[Any]:
+        began.append(({name: settings}, is_real))
+        yield facts(name)
+
+    monkeypatch.setattr(fleet_setup, "running_parts", several)
+    monkeypatch.setattr(fleet_setup, "running_part", alone)
+    monkeypatch.setattr(fleet_setup, "ended_by_signal", Over)
+    monkeypatch.setattr(fleet_setup, "leave_what_stays", lambda: None)
+    outcome = cli("fleet", "up", str(path), *words.split(), "--table")
+    assert outcome.status == 0, outcome
+    [(parts, is_real)] = began
+    assert (list(parts), is_real) == (names, "--real" in words)
+    aircraft = {name: one for name, one in parts.items() if name in ("a1", "a2")}
+    assert all(parts[name] is None for name in parts.keys() - aircraft.keys())
+    for name, settings in aircraft.items():
+        virtual = {"a1": (None, True), "a2": ("sim://?firmware=3.1", False)}[name]
+        assert (settings.url, settings.sim) == ((urls[name], False) if urls else virtual)
+        assert settings.firmware == ("3.1" if name == "a2" and urls else None)
+        assert settings.record == default_folder() / name
+        assert settings.max_height == (30.0 if name == "a2" else settings_default("max_height"))
+    assert says in outcome.out
+    assert "agent" not in outcome.out
 
 
 # -- what serves ----------------------------------------------------------------------------------
@@ -655,11 +904,12 @@ def test_where_a_router_listens(
     )
 
 
-class Over:
+class Over(asyncio.Event):
     """An end that is there."""
 
-    async def wait(self) -> None:
-        """Do not wait."""
+    def __init__(self) -> None:
+        super().__init__()
+        self.set()
 
 
 # -- the virtual aircraft -------------------------------------------------------------------------
