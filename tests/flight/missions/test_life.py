@@ -2,15 +2,28 @@
 
 from __future__ import annotations
 
+import itertools
+from types import SimpleNamespace
+from typing import Any, cast
+
 import pytest
 
+from m100link.errors import M100Error, MissionAborted
+from m100link.flight.mission_state import MissionKind, MissionWatch
+from m100link.flight.missions.context import Over
 from m100link.flight.missions.events import (
     IN_THE_AIR,
     OWES_A_STOP,
     TRANSITIONS,
+    Aborted,
+    Finished,
+    Reached,
     RunInput,
     RunState,
 )
+from m100link.flight.missions.mission_session import MissionSession
+
+pytestmark = pytest.mark.anyio
 
 S, I = RunState, RunInput  # noqa: E741
 
@@ -70,3 +83,71 @@ def test_what_may_fly_owes_a_stop_except_on_its_way_home() -> None:
 def test_every_state_that_owes_a_stop_can_be_stopped() -> None:
     for state in OWES_A_STOP - {S.STOPPING}:
         assert TRANSITIONS[state][I.STOP] is S.STOPPING
+
+
+# -- what the aircraft tells of it, in each state --------------------------------------------------
+
+
+def mission(state: RunState, *, ends_by_landing: bool = False) -> MissionSession:
+    """A waypoint mission in that state, which takes as news what it is pushed."""
+    link = SimpleNamespace(
+        loop=SimpleNamespace(time=lambda: 100.0), latency=SimpleNamespace(slack_s=0.0)
+    )
+    commander = SimpleNamespace(missions=MissionWatch(lambda: 100.0), link=link)
+    context = SimpleNamespace(commander=commander)
+    track = SimpleNamespace(ends_by_landing=ends_by_landing, take=lambda push: [push], poll=None)
+    found = MissionSession(cast(Any, context), MissionKind.WAYPOINT, cast(Any, track))
+    found.state = state
+    return found
+
+
+DONE = (S.FLYING, S.PAUSED, S.UNSTOPPED, S.ENDING)
+"""States in which an end that the aircraft tells is one."""
+
+
+@pytest.mark.parametrize("state", S, ids=lambda s: s.name)
+def test_what_is_told_in_each_state(state: RunState) -> None:
+    told = (Over(), Aborted(0xF3, "why", 2), Finished(), Reached(1))
+    for news, ends_by_landing in itertools.product(told, (True, False)):
+        one = mission(state, ends_by_landing=ends_by_landing)
+        one._on_push(cast(Any, news))
+        is_end = isinstance(news, Over | Aborted)
+        after = state
+        if is_end and state in DONE:
+            after = S.OVER
+        elif isinstance(news, Finished) and state in (S.FLYING, S.PAUSED):
+            after = S.RETURNING if ends_by_landing else S.ENDING
+        assert one.state is after, news
+        # During a start it waits for the answer, and a stop tells its end by itself.
+        is_told = state in IN_THE_AIR - {S.STARTING, S.STOPPING} and not isinstance(news, Over)
+        is_told = is_told and (state in DONE or not isinstance(news, Aborted))
+        assert list(one.events._waiting) == [news] * is_told, news
+        assert one.events.is_over is (is_end and state in DONE), news
+        failure = one.events.failure
+        if isinstance(news, Aborted) and state in DONE:
+            assert isinstance(failure, MissionAborted)
+            assert (failure.code, failure.index, failure.mission) == (0xF3, 2, "waypoint mission")
+            assert "on the way to waypoint 2: why" in failure.seen
+        else:
+            assert failure is None, news
+        assert one._early == [news] * (state is S.STARTING)
+        assert one._is_seen_over is (state is S.STOPPING and is_end), news
+
+
+@pytest.mark.parametrize("state", S, ids=lambda s: s.name)
+async def test_a_source_of_targets_that_ended_stops_what_owes_a_stop(state: RunState) -> None:
+    one, sent = mission(state), list[str]()
+
+    async def stop() -> None:
+        sent.append("stop")
+        raise M100Error("not answered")
+
+    one.stop = stop  # type: ignore[method-assign]
+    why = M100Error("the source failed")
+    await one.end_by_program(why)
+    owes = state in OWES_A_STOP
+    assert (sent, one.events.failure) == (["stop"] * owes, why if owes else None)
+    quiet = mission(state)
+    quiet.stop = stop  # type: ignore[method-assign]
+    await quiet.end_by_program(None)
+    assert getattr(quiet.events.failure, "seen", None) == ("not answered" if owes else None)
