@@ -6,7 +6,13 @@ from random import Random
 
 import pytest
 
-from m100link.sim.vehicle.missions.route import LocalPlace, RouteLeg, distance, legs_between
+from m100link.sim.vehicle.missions.route import (
+    LocalPlace,
+    RouteLeg,
+    distance,
+    legs_between,
+    slowed,
+)
 
 CORNER = [LocalPlace(0.0, 0.0, 10.0), LocalPlace(40.0, 0.0, 10.0), LocalPlace(40.0, 30.0, 10.0)]
 
@@ -105,3 +111,21 @@ def test_a_way_of_no_length_is_a_place() -> None:
     assert (leg.length, leg.at(0.0).place) == (0.0, here)
     assert leg.nearest(LocalPlace(5.0, 5.0, 5.0), 0.0) == 0.0
     assert leg.between(0.0) == (0, 0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("speed", "left", "expected"),
+    [
+        (5.0, 100.0, (5.0, 0.0)),
+        (12.0, 20.0, (math.sqrt(2 * 1.8 * 20.0), -1.8)),  # it brakes by 1.8 m/s², and no harder
+        (5.0, 1.0, (0.8, -0.64)),  # on the last metres, by 0.8 m/s per metre
+        (0.8, 1.0, (0.8, 0.0)),
+        (5.0, 0.0, (0.0, 0.0)),
+        (5.0, -2.0, (0.0, 0.0)),
+        (0.0, 5.0, (0.0, 0.0)),
+    ],
+)
+def test_it_slows_down_so_that_it_stands_in_time(
+    speed: float, left: float, expected: tuple[float, float]
+) -> None:
+    assert slowed(speed, left) == pytest.approx(expected)
