@@ -237,8 +237,6 @@ class LeaseManager:
         for one in self._take_overs:
             if secrets.compare_digest(one.token.encode(), token.encode()):
                 wanted = one
-        if wanted is not None:
-            self._take_overs.remove(wanted)
         if wanted is None or now >= wanted.expires_at:  # each change of the lease voids all
             raise LeaseRefused(
                 "there is nothing to confirm",
