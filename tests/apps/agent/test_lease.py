@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Callable
 
 import pytest
 from hypothesis import strategies as st
@@ -34,6 +35,36 @@ def test_a_lease_that_nobody_renews_ends() -> None:
     with pytest.raises(LeaseRefused) as caught:
         manager.renew(lease.token, 6.1)
     assert caught.value.seen == "this lease is not in force; b has control"
+
+
+@pytest.mark.parametrize(
+    ("call", "expected"),
+    [
+        (lambda manager, _, __: manager.holder(3.0), None),
+        (lambda manager, _, __: manager.remaining(3.0), 0.0),
+        (lambda manager, _, __: manager.acquire("b", 3.0).name, "b"),
+        (lambda manager, token, _: manager.check(token, 3.0), "not in force"),
+        (lambda manager, token, _: manager.renew(token, 3.0), "not in force"),
+        (lambda manager, token, _: manager.release(token, 3.0), "not in force"),
+        (lambda manager, _, __: manager.ask_take_over("b", 3.0), "nobody has control"),
+        (lambda manager, _, asked: manager.confirm(asked, 3.0), "nothing to confirm"),
+    ],
+)
+def test_whatever_is_asked_a_lease_that_nobody_renewed_has_ended(
+    call: Callable[[LeaseManager, str, str], object], expected: object
+) -> None:
+    changes: list[LeaseChange] = []
+    manager = LeaseManager(on_change=lambda why, *_: changes.append(why))
+    lease = manager.acquire("a", 0.0)
+    asked = manager.ask_take_over("b", 2.0)
+    try:
+        found = call(manager, lease.token, asked.token)
+    except LeaseRefused as refused:
+        assert isinstance(expected, str)
+        assert expected in refused.seen
+    else:
+        assert found == expected
+    assert changes[:2] == [LeaseChange.ACQUIRED, LeaseChange.EXPIRED]
 
 
 def test_a_released_expired_or_taken_lease_cannot_be_replayed() -> None:
