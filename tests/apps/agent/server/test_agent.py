@@ -255,6 +255,7 @@ async def test_a_hover_of_somebody_else_ends_the_stream_and_the_holders_own_does
         with pytest.raises(GuardRefused, match="a hover was ordered; change of height"):
             await agent.ask(ChangeHeight(5.0), rig.token)
         await agent.ask(orders.Halt("its own"), rig.token)
+        await agent.ask(orders.Halt("let go", begins_anew=True), "a lease that has ended")
         with pytest.raises(GuardRefused, match="a hover was ordered"):
             agent.steer(rig.token, NORTH)
         if again is not None:
