@@ -40,6 +40,7 @@ import contextlib
 import os
 import selectors
 import threading
+import warnings
 from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager
 from typing import TYPE_CHECKING, Any
@@ -232,6 +233,10 @@ def _options(request: pytest.FixtureRequest) -> dict[str, Any]:
 
 
 _VIRTUAL = ("virtual_clock", "virtual_aircraft")
+_IN_REAL_TIME = (
+    "this test flew in real time, on an event loop that is not anyio's: mark it pytest.mark.anyio, "
+    "and with pytest-asyncio leave asyncio_mode at strict"
+)
 
 
 @pytest.fixture
@@ -255,6 +260,13 @@ def virtual_aircraft(request: pytest.FixtureRequest) -> Iterator[ConnectableAirc
     aircraft = ConnectableAircraft(**_options(request))
     print(f"virtual aircraft: {aircraft!r}")  # noqa: T201 (pytest shows it when the test fails)
     yield aircraft
+    _end(aircraft)
+
+
+def _end(aircraft: ConnectableAircraft) -> None:
+    loop = None if aircraft._driver is None else aircraft._driver.loop
+    if not isinstance(loop, VirtualClockEventLoop | None):
+        warnings.warn(_IN_REAL_TIME, stacklevel=2)
     with contextlib.suppress(RuntimeError):  # the event loop is closed already
         aircraft.stop()
 

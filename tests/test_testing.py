@@ -109,6 +109,14 @@ async def test_it_is_waited_for_and_taken_for_what_the_test_says(
     assert clock() - began_at == pytest.approx(7.0, abs=0.5)
 
 
+def test_a_test_that_flies_in_real_time_is_told_so() -> None:
+    """As one that pytest-asyncio runs: it passes, and takes as long as the flight."""
+    aircraft = ConnectableAircraft()
+    asyncio.run(aircraft.open_link())
+    with pytest.warns(UserWarning, match="in real time.*mark it pytest.mark.anyio.*at strict"):
+        testing._end(aircraft)
+
+
 def happenings() -> Iterator[tuple[str, str, float]]:
     """The table of the manual: what a test does, the error of the program, within how many s."""
     table = PAGE.read_text("utf-8").partition("| The test does | The program gets |")[2]
