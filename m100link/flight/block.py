@@ -356,6 +356,8 @@ class ControlBlock:
         remedy = "use it inside `async with aircraft.control()`, or obtain() it"
         if life.state in (BlockState.STOPPING, BlockState.OVER):
             state, remedy = "over with this block", "ask for a new one: aircraft.control()"
+            if life.state is BlockState.STOPPING:
+                remedy = f"release() waits until it has landed or hovers; then {remedy}"
         elif life.state is BlockState.PAUSED:
             state, remedy = "paused by the pilot", "wait_resumable() and resume()"
         raise NoAuthority(

@@ -196,8 +196,8 @@ class BlockClaim:
             raise LinkClosed("the aircraft was disconnected: no control block begins any more")
         if self._close is not None:
             raise UsageError(
-                "another control block of this program is running",
-                remedy="share its object, or leave or release() that one first",
+                "another control block of this program has not ended: it runs, or it lands",
+                remedy="share its object, or leave or release() that one, which waits for its end",
             )
         self._close = close
 

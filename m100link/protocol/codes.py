@@ -204,7 +204,7 @@ class TaskStartCode(AckCode):
         0x0001,
         "received and rejected",
         "no authority, another task is running, or the aircraft is not in a state for it",
-        "obtain authority first; take-off needs stopped motors, landing needs to be in the air",
+        "obtain authority first; in the air leave take-off out; landing needs to be in the air",
     )
     STARTED = 0x0002, "execution begins"
 
