@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import os
 import signal
+import sys
 from collections.abc import Generator
 
 import pytest
@@ -23,6 +24,11 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 for _number in (signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGXCPU):
     if signal.getsignal(_number) is signal.SIG_IGN:
         signal.signal(_number, signal.SIG_DFL)
+
+# Tests raise KeyboardInterrupt between any two lines. Where that is behind the line by which coverage
+# takes the lock of its data, the lock stays taken, and the next file that is entered waits for ever.
+if (_coverage := sys.modules.get("coverage")) and (_measuring := _coverage.Coverage.current()):
+    _measuring._collector.data_lock = None
 
 # Time limits per example say more about the machine than about the code.
 _COMMON = settings(
