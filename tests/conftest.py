@@ -25,8 +25,8 @@ for _number in (signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGXCPU):
     if signal.getsignal(_number) is signal.SIG_IGN:
         signal.signal(_number, signal.SIG_DFL)
 
-# Tests raise KeyboardInterrupt between any two lines. Where that is behind the line by which coverage
-# takes the lock of its data, the lock stays taken, and the next file that is entered waits for ever.
+# Tests raise KeyboardInterrupt between any two lines. Behind the line by which coverage takes the
+# lock of its data, that leaves the lock taken, and the next file that is entered waits for ever.
 if (_coverage := sys.modules.get("coverage")) and (_measuring := _coverage.Coverage.current()):
     _measuring._collector.data_lock = None
 
