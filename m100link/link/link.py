@@ -351,7 +351,7 @@ class Link(asyncio.Protocol):
                 receive = self.on_received  # from here a call takes half as long
                 receive(frames[0], now)
             elif frames:
-                self._dispatch(iter(endpoint.sort_out(frames, now)), now)
+                self._dispatch(iter(endpoint._sort_out(frames, now)), now)
                 if endpoint.has_output:
                     self._flush()
                     self._set_timer()

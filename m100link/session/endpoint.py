@@ -49,9 +49,9 @@ class Endpoint:
 
     def receive_data(self, data: bytes, now: float) -> Sequence[Event]:
         """Take bytes from the line; return what happened, in order. Nothing that arrives raises."""
-        return self.sort_out(self.decoder.feed(data), now)
+        return self._sort_out(self.decoder.feed(data), now)
 
-    def sort_out(self, frames: list[Frame], now: float) -> Sequence[Event]:
+    def _sort_out(self, frames: list[Frame], now: float) -> Sequence[Event]:
         """The same of frames that were decoded."""
         for frame in frames:
             if frame[0] or frame[1]:  # session, is_ack: by name it takes twice as long
