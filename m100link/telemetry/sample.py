@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import logging
 import math
+from collections.abc import Callable
+from functools import lru_cache
 from struct import Struct
 from typing import Any, TypeVar
 
@@ -87,6 +89,7 @@ _SPEED_CHANGE_M_S = 0.3  # in a window without acceleration; fused values of 1 m
 # an aircraft that accelerates down at 1 m/s² would sink at 6 m/s, faster than it can.
 _STANDING, _FLYING, _BLIND = 1, 3, 6
 # As many windows of fused values overturn raw: three seconds of free fall are no flight.
+_MOST_SAMPLES = 1000  # of a window count, however many come
 # An attitude is that of an acceleration for so long, s: both come from one estimate.
 _ATTITUDE_S = 0.3
 _MOST_G = 50.0
@@ -103,6 +106,25 @@ def acceleration_mode(name: str | None) -> AccelerationMode | None:
             f"no acceleration mode is called {name!r}",
             remedy=f"choose one of {', '.join(AccelerationMode)}, or leave it out to have it found",
         ) from None
+
+
+_Place = tuple[int, Callable[[bytes, int], tuple[float, ...]]]
+_Kept = tuple[_Place, bytes] | None
+
+
+@lru_cache(maxsize=256)
+def _places(plan: Any) -> tuple[_Place | None, _Place | None, _Place | None, _Place | None, bytes]:
+    """Where a package has the four items, and its flag word without an acceleration."""
+    found = map(plan.items.get, (_ATTITUDE, _VELOCITY, _STATUS, _ITEM))
+    return (*found, (plan.flags & ~(1 << _ITEM)).to_bytes(2, "little"))
+
+
+def _values(kept: _Kept) -> tuple[float, ...] | None:
+    """The values of an item in the package that was kept for them."""
+    if kept is None:
+        return None
+    (offset, unpack), value = kept
+    return unpack(value, offset)
 
 
 class AccelerationReader:
@@ -122,26 +144,27 @@ class AccelerationReader:
     """
 
     __slots__ = (
-        *("_against", "_attitude", "_attitude_at", "_count", "_is_found", "_is_standing", "_row"),
-        *("_speed", "_start", "_sum", "_velocity", "has_arrived", "is_idle", "mode", "seen"),
+        *("_against", "_attitude", "_attitude_at", "_felt", "_is_found", "_row", "_speed"),
+        *("_start", "_status", "_velocity", "has_arrived", "is_idle", "mode", "seen"),
     )
 
     def __init__(self, mode: AccelerationMode | None = None) -> None:
         self.mode = mode
         self.seen: AccelerationMode | None = None
         self.is_idle = self.has_arrived = False
-        self._attitude: tuple[float, ...] | None = None
+        # The newest of each, read when a second of values is judged, and the attitude for raw ones.
+        self._attitude: _Kept = None
         self._attitude_at = -math.inf
-        self._velocity: tuple[float, ...] | None = None  # the newest
-        self._is_standing = False  # on the ground, motors off
+        self._velocity: _Kept = None
+        self._status: _Kept = None
         self._row = 0  # windows in a row that look raw
         self._against = 0  # and, once raw was seen, fused
         self._is_found = False  # whether the mode is what was seen
         self._begin(0.0)
 
     def _begin(self, now: float) -> None:
-        self._start, self._count = now, 0
-        self._sum = 0.0, 0.0, 0.0
+        self._start = now
+        self._felt: list[tuple[float, ...]] = []  # since then
         self._speed = self._velocity
 
     def fix(self, mode: AccelerationMode | None) -> None:
@@ -160,19 +183,16 @@ class AccelerationReader:
             return value
         if plan.size != len(value):
             return value
-        items = plan.items
-        if _ATTITUDE in items:
-            offset, unpack = items[_ATTITUDE]
-            self._attitude, self._attitude_at = unpack(value, offset), now
-        if _VELOCITY in items:
-            offset, unpack = items[_VELOCITY]
-            self._velocity = unpack(value, offset)[:3]
-        if _STATUS in items:
-            offset, unpack = items[_STATUS]
-            self._is_standing = unpack(value, offset)[0] == FlightPhase.STANDBY
-        if _ITEM not in items:
+        attitude, velocity, status, place, flags = _places(plan)
+        if attitude is not None:
+            self._attitude, self._attitude_at = (attitude, value), now
+        if velocity is not None:
+            self._velocity = velocity, value
+        if status is not None:
+            self._status = status, value
+        if place is None:
             return value
-        offset, unpack = items[_ITEM]
+        offset, unpack = place
         felt = unpack(value, offset)
         self.has_arrived = True
         if self.seen is not AccelerationMode.FUSED:
@@ -181,25 +201,22 @@ class AccelerationReader:
             self.is_idle = self.seen is not None
             return value
         if self.mode is AccelerationMode.RAW:
-            attitude = self._attitude if now - self._attitude_at <= _ATTITUDE_S else None
-            fused = None if attitude is None else fused_of(felt, attitude)
+            turned = _values(self._attitude) if now - self._attitude_at <= _ATTITUDE_S else None
+            fused = None if turned is None else fused_of(felt, turned)
             if fused is not None:
                 return value[:offset] + _VECTOR.pack(*fused) + value[offset + _VECTOR.size :]
-        flags = (plan.flags & ~(1 << _ITEM)).to_bytes(2, "little")
         return flags + value[2:offset] + value[offset + _VECTOR.size :]
 
     def _look(self, felt: tuple[float, ...], now: float) -> None:
         """Take a value into the window, and judge a window that is full."""
-        x, y, z = felt
-        # The sum is finite where all three are: they come as 32 bits.
-        if not math.isfinite(x + y + z) or not 0.0 <= now - self._start <= 3 * _WINDOW_S:
+        passed = now - self._start
+        if not 0.0 <= passed <= 3 * _WINDOW_S:
             self._row = 0
             self._begin(now)
             return
-        sum_x, sum_y, sum_z = self._sum
-        self._sum = sum_x + x, sum_y + y, sum_z + z
-        self._count += 1
-        if now - self._start < _WINDOW_S or self._count < _LEAST_SAMPLES:
+        if len(self._felt) < _MOST_SAMPLES:
+            self._felt.append(felt)
+        if passed < _WINDOW_S or len(self._felt) < _LEAST_SAMPLES:
             return
         found = self._shown()
         self._begin(now)
@@ -212,20 +229,25 @@ class AccelerationReader:
 
     def _shown(self) -> AccelerationMode | None:
         """The mode that the window shows, if it and those before it are enough."""
-        x, y, z = (total / self._count for total in self._sum)
+        x, y, z = (sum(axis) / len(self._felt) for axis in zip(*self._felt, strict=True))
         length = math.hypot(x, y, z)
         # Fused values this small may come from any flight; raw ones from free fall alone.
         if length <= _AT_REST_M_S2:
             return AccelerationMode.FUSED
-        changed = None
-        if self._speed is not None and self._velocity is not None:
-            changed = math.dist(self._speed, self._velocity)
+        before, now, status = map(_values, (self._speed, self._velocity, self._status))
+        changed = None if before is None or now is None else math.dist(before[:3], now[:3])
         is_faster = changed is not None and not changed <= _SPEED_CHANGE_M_S  # or no number
-        if is_faster or abs(length - 1.0) > _OFF_G or z > -_UPRIGHT * length:
+        if (
+            not math.isfinite(length)
+            or is_faster
+            or abs(length - 1.0) > _OFF_G
+            or z > -_UPRIGHT * length
+        ):
             self._row = 0
             return None
         self._row += 1
-        needed = _STANDING if self._is_standing else _BLIND if changed is None else _FLYING
+        is_standing = status is not None and status[0] == FlightPhase.STANDBY
+        needed = _STANDING if is_standing else _BLIND if changed is None else _FLYING
         return AccelerationMode.RAW if self._row >= needed else None
 
     def _find(self, found: AccelerationMode) -> None:
@@ -258,10 +280,8 @@ def fused_of(
     if not (0.5 < length < 2.0 and abs(x) + abs(y) + abs(z) <= _MOST_G):
         return None
     scale = G_M_S2 / length
-    north = (q0 * q0 + q1 * q1 - q2 * q2 - q3 * q3) * x
-    north += 2 * (q1 * q2 - q0 * q3) * y + 2 * (q1 * q3 + q0 * q2) * z
-    east = (q0 * q0 - q1 * q1 + q2 * q2 - q3 * q3) * y
-    east += 2 * (q1 * q2 + q0 * q3) * x + 2 * (q2 * q3 - q0 * q1) * z
-    down = (q0 * q0 - q1 * q1 - q2 * q2 + q3 * q3) * z
-    down += 2 * (q1 * q3 - q0 * q2) * x + 2 * (q2 * q3 + q0 * q1) * y
+    kept, along, across = 2 * q0 * q0 - length, 2 * (q1 * x + q2 * y + q3 * z), 2 * q0
+    north = kept * x + along * q1 + across * (q2 * z - q3 * y)
+    east = kept * y + along * q2 + across * (q3 * x - q1 * z)
+    down = kept * z + along * q3 + across * (q1 * y - q2 * x)
     return north * scale, east * scale, -down * scale - G_M_S2

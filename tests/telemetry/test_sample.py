@@ -157,6 +157,23 @@ def test_what_shows_no_mode_is_unknown(
     assert one.mismatches == 0
 
 
+def test_one_second_of_a_flood_is_bounded_and_shows_the_mode() -> None:
+    one = stream()
+    heard(one, 0.99, (0.0, 0.0, -1.0), hz=5000.0, flight_status=(1,))
+    assert len(one.acceleration._felt) == 1000
+    heard(one, 0.1, (0.0, 0.0, -1.0), begin=11.0, flight_status=(1,))
+    assert one.acceleration.mode is RAW
+
+
+@pytest.mark.parametrize("wrong", [math.nan, math.inf, -math.inf])
+def test_a_second_with_a_value_that_is_none_shows_no_mode(wrong: float) -> None:
+    one = stream()
+    heard(one, 1.1, lambda now: (wrong if now == 0.5 else 0.0, 0.0, -1.0), flight_status=(1,))
+    assert one.acceleration.mode is None
+    heard(one, 1.1, (0.0, 0.0, -1.0), begin=11.12, flight_status=(1,))
+    assert one.acceleration.mode is RAW
+
+
 def test_raw_values_are_turned_by_the_attitude_and_loose_gravity() -> None:
     # Nose to the east, 2 m/s² to the north: that is to its left, and gravity is below.
     one = stream(RAW)
