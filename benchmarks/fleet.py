@@ -10,6 +10,10 @@ packages of a line come together.
 
 Of ours the whole stack is there: link, sessions, state, clock, authority. With a task each, a
 subscription of ``async for`` takes every package. pymavlink parses and counts, without a task.
+
+Another row is of one aircraft and its agent: what a signature and the audit log cost ``stop``. Two
+agents hear it by turns, of which one verifies and logs; CPU of the thread, from the bytes of the
+order until the aircraft is told.
 """
 
 from __future__ import annotations
@@ -20,14 +24,15 @@ import random
 import socket
 import time
 from collections.abc import Callable, Iterable
-from contextlib import ExitStack
+from contextlib import AsyncExitStack, ExitStack
+from typing import Any
 
 import m100link
 from benchmarks import peers
 from benchmarks.consumer import make_aircraft
 from benchmarks.frames import telemetry_frames
 from benchmarks.program import main
-from benchmarks.rows import Absent, Program, Row, Setting, Side, at_most, ratio
+from benchmarks.rows import Absent, Costs, Program, Row, Setting, Side, at_most, percentile, ratio
 from m100link.link import Link
 
 AIRCRAFT = 200
@@ -37,6 +42,8 @@ SEED = 2015
 BARE = f"{AIRCRAFT} aircraft, per package"
 TASKS = f"{AIRCRAFT} aircraft with a task each, per package"
 PEER = f"{AIRCRAFT} pymavlink parsers, per message"
+STOPS = 200
+STOP = "stop of a fleet, until the aircraft is told"
 
 Receive = Callable[[bytes], None]
 
@@ -140,6 +147,114 @@ def ours(setting: Setting, stack: ExitStack) -> Iterable[Side]:
 
     yield Side(BARE, lambda: asyncio.run(alone()))
     yield Side(TASKS, lambda: asyncio.run(with_tasks()))
+    yield Side(STOP, lambda: stops(setting.count(STOPS)))
+
+
+def stops(count: int) -> dict[str, float]:
+    """CPU seconds for ``stop``, at an agent that verifies and logs, and at a plain one."""
+    from m100link.sim.clock import virtual_clock_loop  # another tree may lack some of these
+
+    with asyncio.Runner(loop_factory=virtual_clock_loop) as runner:
+        return runner.run(_stops(count))
+
+
+async def _stops(count: int) -> dict[str, float]:
+    from m100link.apps.fleet.identity import Signer
+
+    signer = Signer("anna", bytes(32))
+    async with AsyncExitStack() as stack:
+        agents = {
+            "signed": await Stopped.made(stack, signer),
+            "plain": await Stopped.made(stack, None),
+        }
+        for _ in range(count):
+            for agent in agents.values():
+                await agent.stop()
+    found = {kind: agent.spent[count // 10 :] for kind, agent in agents.items()}  # warm by then
+    parts = {"p50": 0.5, "p99": 0.99}
+    return {
+        f"{kind} {name}": percentile(spent, part)
+        for kind, spent in found.items()
+        for name, part in parts.items()
+    }
+
+
+class Stopped:
+    """A virtual aircraft, its agent, and the agent of the fleet before it.
+
+    Args:
+        agent: The one of the fleet.
+        client: What tells the aircraft.
+        sign: Of the orders.
+
+    Attributes:
+        spent: CPU of each stop, s.
+    """
+
+    def __init__(self, agent: Any, client: Any, sign: Callable[..., Any]) -> None:
+        self._agent, self._sign = agent, sign
+        self.spent: list[float] = []
+        self._began = 0.0
+        tell = client.stop
+
+        async def told(by: str) -> None:
+            self.spent.append(time.thread_time() - self._began)
+            await tell(by)
+
+        client.stop = told
+
+    @classmethod
+    async def made(cls, stack: AsyncExitStack, signer: Any) -> Stopped:
+        """One that verifies and logs, where somebody signs."""
+        from cryptography.hazmat.primitives.asymmetric import ec
+        from cryptography.hazmat.primitives.hashes import SHA256
+
+        from m100link.apps.agent.client import AgentClient
+        from m100link.apps.agent.server.agent import Agent
+        from m100link.apps.agent.server.connection import by_driver
+        from m100link.apps.agent.server.server import AgentServer
+        from m100link.apps.agent.transports import memory_channels
+        from m100link.apps.fleet.agent import FleetAgent
+        from m100link.apps.fleet.identity import Rights
+        from m100link.apps.fleet.keys import Keys
+        from m100link.apps.fleet.order_log import AuditLog, MemoryOrderLog
+        from m100link.apps.fleet.payloads import OrderMessage
+        from m100link.apps.fleet.signing import verifying
+        from m100link.sim.ports.driver import Driver
+        from m100link.sim.virtual import VirtualAircraft
+
+        virtual = VirtualAircraft(seed=SEED)
+        driver = Driver(virtual)
+        stack.callback(driver.stop)
+        agent = Agent(by_driver(driver), credentials=virtual.credentials)
+        service = AgentServer(await stack.enter_async_context(agent))
+        ours, its = memory_channels()
+        service.attach(its)
+        client = await stack.enter_async_context(AgentClient(ours, "fleet"))
+        while not client.is_connected:  # noqa: ASYNC110 - virtual time: it costs nothing
+            await asyncio.sleep(0.01)
+        how: dict[str, Any] = {}
+        if signer is not None:
+            text = f'[identity.anna]\npublic_key = "{signer.public_key.hex()}"\nstop = ["a1"]'
+            key = ec.generate_private_key(ec.SECP256R1())
+            seal = b"", lambda line: key.sign(line, ec.ECDSA(SHA256()))
+            how["verify"] = verifying(Rights.parse(text), ["a1"], time.time)
+            how["audit"] = AuditLog(None, seal, time.time)
+        bus: Any = None  # its answers go to nobody
+        made = FleetAgent(client, bus, Keys(name="a1"), MemoryOrderLog(), **how)
+        return cls(made, client, OrderMessage.under if signer is None else signer)
+
+    async def stop(self) -> None:
+        """Hand over one order, as it comes from the network."""
+        from m100link.apps.agent.orders import Stop
+        from m100link.apps.bus.network import Question
+        from m100link.apps.fleet.payloads import OrderMessage, pack
+
+        head = (os.urandom(16).hex(), "site", "a1", "anna")
+        payload = pack(self._sign(OrderMessage(*head, 0, time.time(), Stop()), ""))
+        question = Question("m100/site/a1/cmd", payload, lambda *_: None, lambda: None)
+        self._began = time.thread_time()
+        await self._agent._answer_order(question.key, question)
 
 
 def others(setting: Setting, stack: ExitStack) -> Iterable[Side | Absent]:
@@ -170,6 +285,11 @@ def others(setting: Setting, stack: ExitStack) -> Iterable[Side | Absent]:
     yield Side(PEER, lambda: asyncio.run(run()))
 
 
+def more(part: str) -> Callable[[Costs], float]:
+    """What a signed and logged stop costs more, ms."""
+    return lambda costs: 1e3 * (costs[f"{STOP}, signed {part}"] - costs[f"{STOP}, plain {part}"])
+
+
 PROGRAM = Program(
     name="fleet",
     rows=(
@@ -179,6 +299,8 @@ PROGRAM = Program(
             at_most(0.85, 0.65),
         ),
         Row("the same with a consuming task each", ratio(TASKS, PEER), at_most(1.0, 0.8)),
+        Row("stop of a fleet, signed and logged − plain, p50", more("p50"), unit="ms"),
+        Row("stop of a fleet, signed and logged − plain, p99", more("p99"), at_most(1.0), "ms"),
     ),
     ours=ours,
     others=others,
