@@ -101,7 +101,7 @@ class Asker:
     def require(self, right: orders.Right, *, ends: bool = False) -> None:
         """Name a missing right before anything is sent.
 
-        What ends a flight is sent all the same: the file here may be older than that on board.
+        An order that ends a flight is sent all the same: the file here may be an old one.
 
         Raises NotAllowed: the fleet file here does not give it, and nothing was sent.
         """
