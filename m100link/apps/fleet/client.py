@@ -15,7 +15,7 @@ from typing import Any, Literal, Self
 
 from m100link.apps.agent.messages import MessageError, fault_of
 from m100link.apps.agent.orders import AskVersion, Land, Right, Stop
-from m100link.apps.bus.network import Bus, Held
+from m100link.apps.bus.network import Bus
 from m100link.apps.bus.session import LARGEST, Opening, open_session
 from m100link.apps.fleet.asking import PATIENCE_S, Asker, Sign, nobody_there, unsigned
 from m100link.apps.fleet.carrier import FleetChannel, reach
@@ -25,7 +25,6 @@ from m100link.apps.fleet.keys import DEFAULT_SITE, Keys, in_order, name_in, sess
 from m100link.apps.fleet.logs.fetching import Fetched, LogFetcher, Progress
 from m100link.apps.fleet.missions.flight import mission_card
 from m100link.apps.fleet.payloads import Card, MissionCard, Result, unpack
-from m100link.apps.fleet.publisher import WALL_WITHIN_S
 from m100link.apps.fleet.revocations import Revocations
 from m100link.apps.fleet.signing import Seal, SealedBus
 from m100link.errors import GuardRefused, M100Error, OutcomeUnknown
@@ -48,7 +47,6 @@ class Change:
 
     name: str  #: the aircraft
     is_there: bool  #: whether it appeared, else it disappeared
-    silent_s: float | None = None  #: seconds since its last message; None without one
 
 
 class FleetAircraft:
@@ -241,32 +239,22 @@ class Fleet:
         self._name = name
         self._options: dict[str, Any] = {"patience": patience, "utc": utc, "sign": sign or unsigned}
         self._options["unstopped"] = {}  # one for all of them
-        self._clock = asyncio.get_running_loop().time
         # Ids of the sessions that show the token of each.
         self._present: dict[str, set[str]] = {}
-        self._heard_at: dict[str, float] = {}
         self._listeners: list[tuple[deque[Change], asyncio.Event]] = []
-        self._held: list[Held] = []
 
     async def __aenter__(self) -> Self:
         # Asked before anything is watched: while zenoh fills the tables of a watch, it answers
         # from what it has of them, and leaves out whom it does not have yet.
         for token in await self._tokens():
             self._on_token(token, is_there=True)
-        self._held = [
-            self.bus.subscribe(self.keys.state, self._on_state, within=WALL_WITHIN_S),
-            self.bus.watch(self.keys.live, self._on_token),
-        ]
+        self._watch = self.bus.watch(self.keys.live, self._on_token)
         return self
 
     async def __aexit__(self, *_: object) -> None:
-        for one in self._held:
-            one.close()
+        self._watch.close()
 
     # -- who is there ----------------------------------------------------------------------------
-
-    def _on_state(self, key: str, payload: bytes) -> None:
-        self._heard_at[name_in(key)] = self._clock()
 
     def _on_token(self, key: str, is_there: bool) -> None:
         name = name_in(key)
@@ -278,15 +266,9 @@ class Fleet:
         if not sessions:
             del self._present[name]
         if had != bool(sessions):
-            self._tell(name, is_there=is_there)
-
-    def _tell(self, name: str, *, is_there: bool) -> None:
-        heard_at = self._heard_at.get(name)
-        silent = None if heard_at is None else self._clock() - heard_at
-        change = Change(name, is_there, silent)
-        for waiting, event in self._listeners:
-            waiting.append(change)
-            event.set()
+            for waiting, event in self._listeners:
+                waiting.append(Change(name, is_there))
+                event.set()
 
     async def _tokens(self) -> list[str]:
         return await self.bus.tokens(self.keys.live, timeout=self._options["patience"])

@@ -81,9 +81,9 @@ class FleetSettings:
     order_logs: Path | None = None
     options: dict[str, str] = field(default_factory=dict)  # more options of zenoh, by name, as JSON
     seals: dict[str, Seal] = field(default_factory=dict)  # by which aircraft sign what they say
-    authority: Revocations | None = None  # whose certificates other aircraft have
     verify: Verify | None = None  # looks at each order; None: the router alone decides who may ask
-    revocations: Revocations | None = None  # who is shut out, whatever the fleet file says
+    # Whose certificates are believed, and who is shut out, whatever the fleet file says.
+    revocations: Revocations | None = None
     log_rate: float = RATE  # bytes of flight logs a second that each aircraft gives away at most
 
 
@@ -107,7 +107,7 @@ async def serving_fleet(
                 options=fleet.options,
                 is_patient=True,
                 seals=fleet.seals,
-                authority=fleet.authority,
+                authority=fleet.revocations,
             )
         )
         agents = {}

@@ -71,7 +71,6 @@ def agent_of(rights: Rights, name: str, *, is_real: bool) -> FleetSettings:
         default_order_logs() if is_real else None,
         tls_options(rights.pki, name),
         seals={name: Seal.read(rights.pki, name)},
-        authority=revocations,
         verify=verifying(rights, [name], time.time, revocations.since),
         revocations=revocations,
     )

@@ -509,27 +509,24 @@ async def test_a_stop_is_asked_for_by_one_order(error: M100Error) -> None:
     assert asker.ask.mock_calls == [call(Stop())]
 
 
-async def test_how_long_ago_one_was_heard_that_is_gone() -> None:
-    fleet, now = clients.Fleet(MagicMock(), site="field"), 100.0
-    fleet._clock = lambda: now
+async def test_one_is_gone_when_its_last_session_is() -> None:
+    fleet = clients.Fleet(MagicMock(), site="field")
     told: list[Any] = []
 
     async def listen() -> None:
         async for change in fleet.changes():
-            told.append((change.name, change.is_there, change.silent_s))
+            told.append((change.name, change.is_there))
 
     live = "m100-live/field/kite/"
     fleet._on_token(f"{live}a", is_there=True)
     task = asyncio.create_task(listen())
     await asyncio.sleep(0.0)
     fleet._on_token(f"{live}b", is_there=True)  # it is there already
-    fleet._on_state("m100/field/kite/state", b"")
-    now = 102.5
     fleet._on_token(f"{live}a", is_there=False)
     assert fleet.present == {"kite"}
     fleet._on_token(f"{live}b", is_there=False)
     await asyncio.sleep(0.0)
-    assert told == [("kite", True, None), ("kite", False, 2.5)]
+    assert told == [("kite", True), ("kite", False)]
     assert fleet.present == frozenset()
     task.cancel()
 
