@@ -77,17 +77,6 @@ class Begun:
         return value
 
 
-@contextmanager
-def reported_when_interrupted(name: str, left: Left) -> Iterator[None]:
-    """Print what one order leaves behind, if Ctrl-C ends the block."""
-    try:
-        yield
-    except asyncio.CancelledError:
-        error = left.of(name)
-        say(f"{name}: {error.seen}", error.remedy, to=err)
-        raise
-
-
 # -- a lease that one command holds, and other commands of the same account use --------------------
 # Its secret lies in a file that nobody else can read, until the command that holds it ends.
 
@@ -297,3 +286,20 @@ def tell_results(results: dict[str, Result], options: FleetOptions) -> int:
         sys.stdout.flush()
         err.print(f"{len(results) - len(bad)} ok, {len(bad)} not", markup=False)
     return ExitCode.FAILED if bad else ExitCode.OK
+
+
+async def tell_each(
+    names: tuple[str, ...],
+    everybody: bool,
+    options: FleetOptions,
+    do: Callable[[FleetAircraft], Awaitable[object]],
+    left: Left,
+) -> int:
+    """Do something with each, and print what became of it, also when Ctrl-C ends the wait."""
+    begun = Begun(do, left)
+    try:
+        return tell_results(await results_of(names, everybody, options, begun), options)
+    except asyncio.CancelledError:
+        if begun.results:
+            tell_results(begun.results, options)
+        raise

@@ -22,15 +22,16 @@ from m100link.apps.cli.fleet import (
     Name,
     TakeOver,
     borrowed,
-    reported_when_interrupted,
     say,
     shared,
+    tell_each,
     write_out,
 )
-from m100link.apps.cli.mission import event_name, event_words
+from m100link.apps.cli.mission import announced, event_name, event_words
 from m100link.apps.cli.options import Above0, Force, Yes, group
 from m100link.apps.cli.plan import File, FileOptions, PlanFile, TakeOff, degrees, read_plan
 from m100link.apps.cli.terminal import ExitCode, ReaderGone, as_json, print_json, tell
+from m100link.apps.fleet.client import FleetAircraft
 from m100link.apps.fleet.missions.flight import FleetMission, MissionOrders
 from m100link.apps.fleet.payloads import MissionCard, MissionStage, OrderReply, ShowStage
 from m100link.apps.fleet.show.conductor import Conductor
@@ -94,12 +95,7 @@ def fly(
 
 
 def _confirm(name: str, plan: WaypointPlan, *, take_off: bool) -> None:
-    err.print(
-        f"{name}: {len(plan.waypoints)} waypoints, about {plan.estimate()}; at the end "
-        f"{plan.at_end.name.lower().replace('_', ' ')}, without RC {plan.on_rc_loss.name.lower()}. "
-        "Ctrl-C stops it.",
-        markup=False,
-    )
+    err.print(f"{name}: {announced(plan)}. Ctrl-C stops it.", markup=False)
     what = "take off and fly" if take_off else "fly"
     _ask(f"{name} may fly this", f"{what} this mission?")
 
@@ -129,10 +125,8 @@ class _Show:
             print_json({"name": self._name, "event": event_name(event)} | asdict(event))
             return
         words = event_words(event)
-        if isinstance(event, MissionProgress):
-            if event.distance_m is None:
-                return
-            words = f"{event.distance_m:.0f} m to waypoint {event.index}, {event.elapsed:.0f} s"
+        if isinstance(event, MissionProgress) and event.distance_m is None:
+            return
         done = f"{len(self._reached)} of {len(self._plan.waypoints)}"
         out.print(f"{self._name}: {done}  {words}", markup=False)
 
@@ -161,37 +155,31 @@ _STOP = Left("it stops if the order arrived", f"{_SEE}, m100link fleet mission s
 
 
 async def _ordering(
-    name: str,
-    options: FleetOptions,
-    left: Left,
-    do: Callable[[MissionOrders], Awaitable[None]],
-    done: str,
+    name: str, options: FleetOptions, left: Left, do: Callable[[MissionOrders], Awaitable[None]]
 ) -> int:
     fence, token = borrowed(options.place, name)
-    async with options.open() as fleet:
-        asker = fleet[name].asker
-        asker.require(Right.FLY, ends=do is MissionOrders.pause)
-        await asker.ask(AskVersion())  # its clock says how old an order is
 
+    async def act(it: FleetAircraft) -> None:
         async def ask(order: Order) -> OrderReply:
-            return await asker.ask(order, fence=fence, token=token)
+            return await it.asker.ask(order, fence=fence, token=token)
 
-        with reported_when_interrupted(name, left):
-            await do(MissionOrders(ask))
-    facts = {"name": name, "outcome": "ok", "told": done}
-    return tell(facts, f"{name}: {done}")
+        it.asker.require(Right.FLY, ends=do is MissionOrders.pause)
+        await it.asker.ask(AskVersion())  # its clock says how old an order is
+        await do(MissionOrders(ask))
+
+    return await tell_each((name,), False, options, act, left)
 
 
 @missions.command
 async def pause(name: Name, /, *, options: FleetOptions = NO_OPTIONS) -> int:
     """Pause the mission in flight; the aircraft hovers."""
-    return await _ordering(name, options, _PAUSE, MissionOrders.pause, "paused")
+    return await _ordering(name, options, _PAUSE, MissionOrders.pause)
 
 
 @missions.command
 async def resume(name: Name, /, *, options: FleetOptions = NO_OPTIONS) -> int:
     """Resume a paused mission."""
-    return await _ordering(name, options, _RESUME, MissionOrders.resume, "it goes on")
+    return await _ordering(name, options, _RESUME, MissionOrders.resume)
 
 
 # -- without a lease -------------------------------------------------------------------------------
@@ -204,11 +192,7 @@ async def stop(name: Name, /, *, options: FleetOptions = NO_OPTIONS) -> int:
     Args:
         name: Name of the aircraft.
     """
-    async with options.open() as fleet:
-        with reported_when_interrupted(name, _STOP):
-            await fleet[name].stop()
-    facts = {"name": name, "outcome": "ok"}
-    return tell(facts, f"{name}: stopped")
+    return await tell_each((name,), False, options, FleetAircraft.stop, _STOP)
 
 
 @missions.command

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import asdict
 from pathlib import Path
@@ -22,7 +22,6 @@ from m100link.apps.cli.common import ended_by_signal, err, out
 from m100link.apps.cli.fleet import (
     NO_OPTIONS,
     All,
-    Begun,
     FleetOptions,
     Left,
     Name,
@@ -30,6 +29,7 @@ from m100link.apps.cli.fleet import (
     TakeOver,
     results_of,
     say,
+    tell_each,
     tell_results,
 )
 from m100link.apps.cli.fleet_plans import missions, shows
@@ -127,38 +127,22 @@ _GOTO = Left(
 )
 
 
-async def _each(
-    names: tuple[str, ...],
-    everybody: bool,
-    options: FleetOptions,
-    do: Callable[[FleetAircraft], Awaitable[object]],
-    left: Left,
-) -> int:
-    begun = Begun(do, left)
-    try:
-        return tell_results(await results_of(names, everybody, options, begun), options)
-    except asyncio.CancelledError:
-        if begun.results:
-            tell_results(begun.results, options)
-        raise
-
-
 @app.command
 async def takeoff(*names: Names, everybody: All = False, options: FleetOptions = NO_OPTIONS) -> int:
     """Let aircraft take off, all at once; each hovers at about 1.2 m, and control goes back."""
-    return await _each(names, everybody, options, FleetAircraft.take_off, _TAKE_OFF)
+    return await tell_each(names, everybody, options, FleetAircraft.take_off, _TAKE_OFF)
 
 
 @app.command
 async def land(*names: Names, everybody: All = False, options: FleetOptions = NO_OPTIONS) -> int:
     """Land aircraft, all at once, without a question, even while others control them."""
-    return await _each(names, everybody, options, FleetAircraft.land, _LANDING)
+    return await tell_each(names, everybody, options, FleetAircraft.land, _LANDING)
 
 
 @app.command
 async def stop(*names: Names, everybody: All = False, options: FleetOptions = NO_OPTIONS) -> int:
     """Stop aircraft, all at once, even while others control them: each hovers."""
-    return await _each(names, everybody, options, FleetAircraft.stop, _STOP)
+    return await tell_each(names, everybody, options, FleetAircraft.stop, _STOP)
 
 
 @app.command
@@ -187,7 +171,7 @@ async def goto(
                 latitude_deg=latitude, longitude_deg=longitude, height=height, speed=cruise_speed
             )
 
-    return await _each((name,), False, options, fly, _GOTO)
+    return await tell_each((name,), False, options, fly, _GOTO)
 
 
 # -- ``m100link fleet monitor``, ``watch`` and ``lease`` -------------------------------------------

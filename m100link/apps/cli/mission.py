@@ -93,10 +93,8 @@ def fly(
     credentials = place.credentials()
 
     err.print(
-        f"{len(found.waypoints)} waypoints, about {found.estimate()}; at the end "
-        f"{found.at_end.name.lower().replace('_', ' ')}, without RC "
-        f"{found.on_rc_loss.name.lower()}. Ctrl-C stops it. On Linux, a guardian stops it "
-        "if this program is killed.",
+        f"{announced(found)}. Ctrl-C stops it. On Linux, a guardian stops it if this program is "
+        "killed.",
         markup=False,
     )
     flight = in_control(
@@ -196,8 +194,6 @@ class _Show:
             self._reached = event.index
         total, done = len(self._places), self._reached + 1
         words = event_words(event)
-        if isinstance(event, MissionProgress) and event.distance_m is not None:
-            words = f"{event.distance_m:.0f} m to waypoint {event.index}, {event.elapsed:.0f} s"
         self._line = f"{self._bar(done)} {done} of {total}  {words}"
         if self._live is None:
             tell({"event": event_name(event)} | asdict(event), words)
@@ -248,6 +244,13 @@ class _Show:
                 out.print(line, markup=False)
 
 
+def announced(plan: WaypointPlan) -> str:
+    """What a plan makes of the aircraft, for somebody who confirms it."""
+    at_end = plan.at_end.name.lower().replace("_", " ")
+    many = f"{len(plan.waypoints)} waypoints, about {plan.estimate()}"
+    return f"{many}; at the end {at_end}, without RC {plan.on_rc_loss.name.lower()}"
+
+
 def event_name(event: MissionEvent) -> str:
     """Reached is "reached", ActionsDone "actions_done"."""
     name = type(event).__name__
@@ -257,6 +260,8 @@ def event_name(event: MissionEvent) -> str:
 def event_words(event: MissionEvent) -> str:
     """An event in a few words."""
     words = event_name(event).replace("_", " ")
+    if isinstance(event, MissionProgress) and event.distance_m is not None:
+        return f"{event.distance_m:.0f} m to waypoint {event.index}, {event.elapsed:.0f} s"
     if isinstance(event, Uploaded):
         time = "" if event.estimated_time is None else f", about {event.estimated_time:.0f} s"
         return f"{words}: {event.points} waypoints{time}"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 import os
 import signal
@@ -25,8 +24,6 @@ from m100link.apps.cli import fleet as fleet_commands
 from m100link.apps.cli.fleet import (
     NO_OPTIONS,
     FleetOptions,
-    Left,
-    reported_when_interrupted,
     tell_results,
 )
 from m100link.apps.cli.terminal import OutputFormat
@@ -412,20 +409,6 @@ async def test_a_stop_that_nobody_answers_is_reported_as_unknown(site: Site) -> 
             one.close()
     assert "a1 unknown interrupted: it stops if the order arrived" in told
     assert "m100link fleet stop a1 again" in told
-
-
-@pytest.mark.anyio
-async def test_what_is_known_of_one_order_is_reported_only_when_it_is_interrupted(
-    capfd: pytest.CaptureFixture[str],
-) -> None:
-    left = Left("it may fly", "m100link fleet stop {name} ends it")
-    with reported_when_interrupted("a1", left):
-        pass
-    assert capfd.readouterr().err == ""
-    with pytest.raises(asyncio.CancelledError), reported_when_interrupted("a1", left):
-        raise asyncio.CancelledError
-    told = capfd.readouterr().err
-    assert told == "a1: interrupted: it may fly\nm100link fleet stop a1 ends it\n"
 
 
 def simulated(site: Site, path: Path, order: str) -> str:
