@@ -550,7 +550,7 @@ def imported(
             there = _mirrored(_begun(_mirrored(_begun(there, ground)), ground))
         except BadPlan as error:
             raise BadShow(error.seen, cause=error.cause, remedy=error.remedy) from error
-        except (ValueError, LookupError, TypeError, struct.error) as error:
+        except (ValueError, LookupError, TypeError, struct.error, csv.Error) as error:
             raise BadShow(
                 f"{path} is no track: {error}",
                 cause="it is damaged, or of another program",

@@ -578,6 +578,8 @@ def test_a_track_in_csv_is_a_show(tmp_path: Path) -> None:
         (b"time [msec],x [m],y [m],z [m]\n0,0,0,0\n1,0,0,nan\n", "none, or is above"),
         (b"time [msec],x [m],y [m],z [m]\n0,0,0,0\n1000,0,0,1\n", "never high enough"),
         (b"time [msec],x [m],y [m],z [m]\n0,0,0\n", "float"),
+        (b"time [msec],x [m],y [m],z [m]\n0,0,0,0\n1\r,0,0,1\n", "new-line character"),
+        (b"time [msec],x [m],y [m],z [m]\n" + b"9" * 200_000, "field larger than"),
         (skyb()[:40], "no whole track"),
         (skyb(2)[:-1] + b"!", "checksum"),
         (b"skyb\x03" + skyb()[5:], "version 3"),
