@@ -57,26 +57,6 @@ class Left:
         return OutcomeUnknown(f"interrupted: {self.seen}", remedy=self.remedy.format(name=name))
 
 
-class Begun:
-    """One order to several aircraft, and its results so far."""
-
-    def __init__(self, do: Callable[[FleetAircraft], Awaitable[object]], left: Left) -> None:
-        self._do, self._left = do, left
-        self.results: dict[str, Result] = {}  # what is known of each that was asked
-
-    async def __call__(self, aircraft: FleetAircraft) -> object:
-        """Ask one."""
-        name = aircraft.name
-        self.results[name] = Result.of(name, self._left.of(name))
-        try:
-            value = await self._do(aircraft)
-        except M100Error as error:
-            self.results[name] = Result.of(name, error)
-            raise
-        self.results[name] = Result.of(name, None, value)
-        return value
-
-
 # -- a lease that one command holds, and other commands of the same account use --------------------
 # Its secret lies in a file that nobody else can read, until the command that holds it ends.
 
@@ -192,12 +172,9 @@ class FleetOptions:
 
     def tell_left_out(self) -> None:
         """Name the aircraft of the file that no router shows to this identity."""
-        sign = self.credentials.get("sign")
-        if self.file is None or sign is None:
-            return
-        every = {name: sign.refusal(Right.WATCH, name) for name in self.file.aircraft}
-        left_out = {name: refused.seen for name, refused in every.items() if refused}
-        if left_out:
+        sign, known = self.credentials.get("sign"), () if self.file is None else self.file.aircraft
+        every = [(name, sign.refusal(Right.WATCH, name)) for name in known if sign is not None]
+        if left_out := {name: refused.seen for name, refused in every if refused}:
             why = next(iter(left_out.values())).partition(";")[0]
             say(f"left out: {', '.join(left_out)}: {why}", to=err)
 
@@ -217,28 +194,25 @@ class FleetOptions:
 NO_OPTIONS = FleetOptions()
 
 
-def wanted_names(names: tuple[str, ...], everybody: bool) -> list[str] | None:
-    """The names, None for all that are there. Raises UsageError: neither or both were given."""
-    if bool(names) == everybody:
-        raise UsageError(
-            "no aircraft was named" if not names else "aircraft were named, and --all given",
-            remedy="name them, or give --all",
-        )
-    return None if everybody else list(names)
-
-
 async def results_of(
     names: tuple[str, ...],
     everybody: bool,
     options: FleetOptions,
     do: Callable[[FleetAircraft], Awaitable[object]],
 ) -> dict[str, Result]:
-    """Do something with each aircraft that is named, or that is there."""
-    wanted = wanted_names(names, everybody)
+    """Do something with each aircraft that is named, or that is there.
+
+    Raises UsageError: neither names were given nor that all are meant, or both.
+    """
+    if bool(names) == everybody:
+        raise UsageError(
+            "no aircraft was named" if not names else "aircraft were named, and --all given",
+            remedy="name them, or give --all",
+        )
     if everybody:
         options.tell_left_out()
     async with options.open() as fleet:
-        return await fleet.each(do, await fleet.names() if wanted is None else wanted)
+        return await fleet.each(do, await fleet.names() if everybody else names)
 
 
 def say(*lines: str, to: Console = out) -> None:
@@ -296,10 +270,22 @@ async def tell_each(
     left: Left,
 ) -> int:
     """Do something with each, and print what became of it, also when Ctrl-C ends the wait."""
-    begun = Begun(do, left)
+    known: dict[str, Result] = {}  # of each that was asked
+
+    async def asked(aircraft: FleetAircraft) -> object:
+        name = aircraft.name
+        known[name] = Result.of(name, left.of(name))
+        try:
+            value = await do(aircraft)
+        except M100Error as error:
+            known[name] = Result.of(name, error)
+            raise
+        known[name] = Result.of(name, None, value)
+        return value
+
     try:
-        return tell_results(await results_of(names, everybody, options, begun), options)
+        return tell_results(await results_of(names, everybody, options, asked), options)
     except asyncio.CancelledError:
-        if begun.results:
-            tell_results(begun.results, options)
+        if known:
+            tell_results(known, options)
         raise

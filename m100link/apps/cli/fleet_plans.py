@@ -71,7 +71,9 @@ def fly(
     found = read_plan(plan, file)
     show = _Show(name, found)
     if not yes:
-        _confirm(name, found, take_off=take_off or found.take_off)
+        err.print(f"{name}: {announced(found)}. Ctrl-C stops it.", markup=False)
+        does = "take off and fly" if take_off or found.take_off else "fly"
+        _ask(f"{name} may fly this", f"{does} this mission?")
 
     async def run() -> int:
         ended_by_signal()
@@ -92,12 +94,6 @@ def fly(
         return ExitCode.OK
 
     return run_async(run())
-
-
-def _confirm(name: str, plan: WaypointPlan, *, take_off: bool) -> None:
-    err.print(f"{name}: {announced(plan)}. Ctrl-C stops it.", markup=False)
-    what = "take off and fly" if take_off else "fly"
-    _ask(f"{name} may fly this", f"{what} this mission?")
 
 
 def _ask(what: str, question: str) -> None:

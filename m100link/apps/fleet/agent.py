@@ -26,13 +26,7 @@ from m100link.apps.agent import orders
 from m100link.apps.agent.background import goes_on
 from m100link.apps.agent.client import AgentClient, Hearing
 from m100link.apps.agent.codec import pack_telemetry
-from m100link.apps.agent.messages import (
-    Event,
-    EventTopic,
-    MessageError,
-    RemoteError,
-    fault_of,
-)
+from m100link.apps.agent.messages import Event, EventTopic, MessageError, RemoteError, fault_of
 from m100link.apps.agent.orders import Age, Right
 from m100link.apps.bus.network import Bus, Held, Question
 from m100link.apps.fleet import payloads

@@ -76,11 +76,8 @@ class MemoryOrderLog:
         # that was begun, the number of a lease, or who flew.
         self.damaged = 0
         self.flown_under: int = 0 if before is None else before.flown_under
-        self.last_flight: LastFlightRecord | None = (
-            None  # how the agent before ended, if somebody flew then
-        )
-        if self.flown_under:
-            self.last_flight = LastFlightRecord(self.flown_under, 0.0)
+        # How the agent before ended, if somebody flew then.
+        self.last_flight = LastFlightRecord(self.flown_under, 0.0) if self.flown_under else None
 
     async def begin(self, identity: str) -> None:
         """Keep that an order begins; done when it is kept."""

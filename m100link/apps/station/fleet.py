@@ -74,9 +74,8 @@ def recorded_apart(settings: Settings, name: str) -> Settings:
 class FleetSettings:
     connect: tuple[str, ...] = ()  # endpoints of routers
     site: str = DEFAULT_SITE
-    lost: LostLinkPlan = field(
-        default_factory=LostLinkPlan
-    )  # what happens when the client that flies is lost
+    # What happens when the client that flies is lost.
+    lost: LostLinkPlan = field(default_factory=LostLinkPlan)
     # Folder of what outlives an agent; None: nothing does, as for virtual aircraft.
     order_logs: Path | None = None
     options: dict[str, str] = field(default_factory=dict)  # more options of zenoh, by name, as JSON

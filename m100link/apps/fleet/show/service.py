@@ -151,10 +151,8 @@ class ShowService:
             # It takes off: not minutes later, when the conductor has given up, nor behind a STOP
             # since the show was begun, such as while its tracks were uploaded.
             performer.ages.check(AfterStop.ANEW, order.clock, self._client.now, began_at)
-        if (
-            isinstance(asked, payloads.TakePlace | payloads.StartShow)
-            and self._duplicates is not None
-        ):
+        flies = isinstance(asked, payloads.TakePlace | payloads.StartShow)
+        if flies and self._duplicates is not None:
             self._duplicates.require_none(self._client.now)
         match asked:
             case payloads.SendTrack():
