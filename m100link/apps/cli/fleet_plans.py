@@ -71,9 +71,7 @@ def fly(
     found = read_plan(plan, file)
     show = _Show(name, found)
     if not yes:
-        err.print(f"{name}: {announced(found)}. Ctrl-C stops it.", markup=False)
-        does = "take off and fly" if take_off or found.take_off else "fly"
-        _ask(f"{name} may fly this", f"{does} this mission?")
+        _confirm(name, found, take_off=take_off or found.take_off)
 
     async def run() -> int:
         ended_by_signal()
@@ -94,6 +92,11 @@ def fly(
         return ExitCode.OK
 
     return run_async(run())
+
+
+def _confirm(name: str, plan: WaypointPlan, *, take_off: bool) -> None:
+    err.print(f"{name}: {announced(plan)}. Ctrl-C stops it.", markup=False)
+    _ask(f"{name} may fly this", f"{'take off and ' if take_off else ''}fly this mission?")
 
 
 def _ask(what: str, question: str) -> None:
