@@ -83,12 +83,10 @@ def fly(
                     async with mission:
                         async for event in mission:
                             show.tell(event)
-        except asyncio.CancelledError:  # by a signal
+        except (asyncio.CancelledError, ReaderGone) as error:  # by a signal, or by its pipe
             say(show.stopped(), to=err)
-            return ExitCode.INTERRUPTED
-        except ReaderGone:  # elsewhere that is success; here it ended a flight
-            say(show.stopped(), to=err)
-            return ExitCode.FAILED
+            # Elsewhere a closed pipe is success; here it ended a flight.
+            return ExitCode.FAILED if isinstance(error, ReaderGone) else ExitCode.INTERRUPTED
         return ExitCode.OK
 
     return run_async(run())

@@ -293,8 +293,6 @@ def _is_good(folder: Path, name: str, kind: Kind, hosts: Sequence[str], now: dat
         names = found.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
         public = Signer(name, _kept(signing)).public_key.hex() if kind is Kind.PILOT else ""
         known = (folder / f"{name}{PUBLIC}").read_text("ascii").strip() if public else ""
-    except FileNotFoundError:
-        return False
     except (OSError, ValueError, TypeError, InvalidSignature, x509.ExtensionNotFound):
         return False
     return (

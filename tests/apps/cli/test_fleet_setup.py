@@ -369,6 +369,14 @@ def test_each_may_do_what_the_file_says_and_nobody_comes_without_a_certificate(
     assert secured_site.ask("mission", "stop", "a1", "--identity", "bert")[0] == ExitCode.OK
     status, [told] = secured_site.ask("land", "a1", "--identity", "bert")
     assert (status, told["outcome"]) == (ExitCode.OK, "ok")
+    here = ("--output", str(tmp_path / "here"), "--identity", "wall")
+    status, lines = secured_site.ask("log", "audit", "a1", *here)
+    assert status == ExitCode.OK
+    done = {line["order"]: line for line in lines if line["outcome"] == "ok"}
+    assert (done["take off"]["signer"], done["land"]["signer"]) == ("anna", "bert")
+    assert done["land"]["ordered_at"] < done["land"]["at"], "it was ordered, and then it was down"
+    status, [fetched] = secured_site.ask("log", "fetch", "a1", *here)
+    assert (status, Path(fetched["path"]).stat().st_size) == (ExitCode.OK, fetched["size"])
     assert secured_site.ask("list")[0] == ExitCode.NO_ROUTER
 
 
