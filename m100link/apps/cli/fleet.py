@@ -272,16 +272,15 @@ async def tell_each(
     """Do something with each, and print what became of it, also when Ctrl-C ends the wait."""
     known: dict[str, Result] = {}  # of each that was asked
 
-    async def asked(aircraft: FleetAircraft) -> object:
+    async def asked(aircraft: FleetAircraft) -> None:
         name = aircraft.name
         known[name] = Result.of(name, left.of(name))
         try:
-            value = await do(aircraft)
+            await do(aircraft)
         except M100Error as error:
             known[name] = Result.of(name, error)
             raise
-        known[name] = Result.of(name, None, value)
-        return value
+        known[name] = Result.of(name, None)
 
     try:
         return tell_results(await results_of(names, everybody, options, asked), options)

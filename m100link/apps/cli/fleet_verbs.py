@@ -276,8 +276,7 @@ async def watch(
     if not heard.received[name]:
         raise FleetError(
             f"no package of {name} came that can be read",
-            cause="its agent has no aircraft or another release, or the router lets none of its "
-            "packages pass to this identity: it has no right to watch",
+            cause="it is not there, has no aircraft, or this identity has no right to watch it",
             remedy=f"m100link fleet list; {RIGHTS}",
         )
 

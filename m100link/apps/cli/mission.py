@@ -245,7 +245,7 @@ class _Show:
 
 
 def announced(plan: WaypointPlan) -> str:
-    """What a plan makes of the aircraft, for somebody who confirms it."""
+    """A plan in words, for an operator who confirms it."""
     at_end = plan.at_end.name.lower().replace("_", " ")
     many = f"{len(plan.waypoints)} waypoints, about {plan.estimate()}"
     return f"{many}; at the end {at_end}, without RC {plan.on_rc_loss.name.lower()}"

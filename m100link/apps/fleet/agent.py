@@ -34,7 +34,6 @@ from m100link.apps.fleet.expiry import ORDER_AGE, Dropped, OrderExpiry, Setpoint
 from m100link.apps.fleet.identity import Since, nobody
 from m100link.apps.fleet.keys import Keys
 from m100link.apps.fleet.lost_link import LastFlight, LostLinkAction, LostLinkPlan
-from m100link.apps.fleet.missions.manager import MissionManager
 from m100link.apps.fleet.order_log import AuditLog, OrderCache, OrderLog, is_time
 from m100link.apps.fleet.orders import OrderService
 from m100link.apps.fleet.publisher import WALL_WITHIN_S, Thinner
@@ -123,6 +122,7 @@ class FleetAgent:
         self._order_cache = OrderCache(order_log.begun, unsure_before=unsure_before)
         self._ages = OrderExpiry()
         self._orders = OrderService(client, order_log, revoked)
+        self.missions = self._orders.missions
         self._last_flight = LastFlight(client, order_log)
         descend = partial(self._orders.descend, take_over=False)
         self._lost = LostLinkAction(client, self._lost_plan, descend, self._last_flight)
@@ -174,10 +174,6 @@ class FleetAgent:
             finally:
                 self.client.on_event.remove(self._on_event)
                 self.client.on_sample.remove(self._on_sample)
-
-    @property
-    def missions(self) -> MissionManager:
-        return self._orders.missions
 
     def shut_out(self) -> None:
         """An operator was revoked: the aircraft hovers, and the lease ends as after silence."""

@@ -327,6 +327,7 @@ class SealedBus:
     ) -> None:
         self._bus, self._seals, self._authority = bus, seals or {}, authority
         self.declare, self.watch, self.tokens = bus.declare, bus.watch, bus.tokens
+        self.session = bus.session
         self._clock = asyncio.get_running_loop().time
         self._background = TaskSet()
         self._looking: set[asyncio.Task[Any]] = set()
@@ -339,10 +340,6 @@ class SealedBus:
         self._newest: dict[str, int] = {}
         self._looked_at: dict[str, float] = {}
         self._recent: dict[str, deque[int]] = {}  # stamps by key
-
-    @property
-    def session(self) -> str:
-        return self._bus.session
 
     def close(self) -> None:
         """Ask nobody any more who speaks."""

@@ -74,7 +74,7 @@ def recorded_apart(settings: Settings, name: str) -> Settings:
 class FleetSettings:
     connect: tuple[str, ...] = ()  # endpoints of routers
     site: str = DEFAULT_SITE
-    # What happens when the client that flies is lost.
+    # The end of a flight whose client is lost.
     lost: LostLinkPlan = field(default_factory=LostLinkPlan)
     # Folder of what outlives an agent; None: nothing does, as for virtual aircraft.
     order_logs: Path | None = None

@@ -568,7 +568,6 @@ def test_a_router_lets_everybody_do_what_the_file_says(site: Site, is_linked: bo
     heard = {name: site.hear(one, "m100/site/*/tel/5hz") for name, one in people.items()}
     wanted = [one.declare_publisher(f"m100/site/{name}/tel/5hz") for name, one in agents.items()]
     until(lambda: all(one.matching_status.matching for one in wanted))  # else agents send nothing
-
     until(lambda: seen(people["wall"]) == {"a1", "a2"})
     until(lambda: answers(people["anna"], "m100/site/a1/cmd") == 1)
     table = {

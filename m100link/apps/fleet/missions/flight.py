@@ -121,13 +121,8 @@ class FleetMission:
         self._events: deque[events.MissionEvent] = deque()
         self._seen = 0
         self._was_paused = self._is_stopped = self._is_end_reported = False
-        self._has_begun = False
+        self.has_begun = False  #: whether the start was ordered, whatever its outcome
         self._end: MissionCard | None = None
-
-    @property
-    def has_begun(self) -> bool:
-        """Whether the start was ordered, whatever its outcome."""
-        return self._has_begun
 
     @property
     def is_over(self) -> bool:
@@ -138,7 +133,7 @@ class FleetMission:
         self._digest = await self._orders.upload(self.plan)
         self._events.append(events.Uploaded(len(self.plan.waypoints), None))
         self._boot = (await mission_card(self._asker)).boot
-        self._has_begun = True
+        self.has_begun = True
         try:
             await self._orders.start(self._digest, take_off=self._take_off)
         except (asyncio.CancelledError, OutcomeUnknown):
