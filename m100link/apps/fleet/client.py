@@ -393,7 +393,7 @@ async def connect(
         endpoints: Of routers, such as ``tcp/127.0.0.1:7447``; the first that answers serves.
         site: Name of the site.
         name: Name of the operator, shown to other people.
-        sign: Signs orders; see :func:`m100link.apps.fleet.signing.signing`.
+        sign: Signs orders: :func:`m100link.apps.fleet.signing.read_signer`.
         authority: Believe only what an aircraft has signed by a certificate of this authority:
             ``Revocations.of_folder(pki)``. Without it, the session with its token is believed.
         options: More options of zenoh, by name, as JSON: certificates, for example.
