@@ -13,7 +13,6 @@ import logging
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from time import perf_counter
 from typing import Any, Protocol, TypeVar
 
@@ -64,11 +63,15 @@ class TokenChange:
 
 
 class Held(Protocol):
+    __slots__ = ()
+
     def close(self) -> None:
         """End it; may be called any number of times."""
 
 
 class Outlet(Held, Protocol):
+    __slots__ = ()
+
     def put(self, payload: bytes, attachment: bytes | None = None) -> None:
         """Send one; never waits, and a message that the network does not take is lost."""
 
@@ -103,8 +106,9 @@ class Bus(Session, Protocol):
     def publish(self, key: str, *, within: float = 0.0) -> Outlet:
         """Offer messages under a key to other sessions; one does not hear itself.
 
-        ``within``: seconds that a message may wait for others to go with it: where many go, that
-        costs a fraction. None waits for longer than it takes until an outlet is closed.
+        ``within``: seconds that a message of ``put_later`` may wait for others to go with it: where
+        many go, that costs a fraction. None waits for longer than it takes until an outlet is
+        closed.
         """
         ...
 
@@ -212,12 +216,15 @@ _SENT_AT_ONCE = 256
 _NEXT_S = 0.001
 
 
+_NOT_TAKEN = "a message was not taken, or not sent"
+
+
 def _do(work: Callable[..., object], *what: Any) -> None:
     """Take or send a message: the error of one does not reach the next one."""
     try:
         work(*what)
     except Exception:
-        _logger.exception("a message was not taken, or not sent")
+        _logger.exception(_NOT_TAKEN)
 
 
 class ThreadQueue:
@@ -309,14 +316,16 @@ class Bundle:
         self._timer, self._within = self._loop.call_later(seconds, self._send), seconds
 
     def _send(self) -> None:
-        self._timer = None
-        made = deque[tuple[Callable[[bytes], None], bytes]]()
+        self._timer, made = None, []
         for _ in range(min(_SENT_AT_ONCE, len(self._waiting))):
             send, make, what = self._waiting.popleft()
-            _do(lambda: made.append((send, make(*what))))  # noqa: B023 - it is done at once
+            try:
+                if payload := make(*what):
+                    made.append((send, payload))
+            except Exception:
+                _logger.exception(_NOT_TAKEN)
         for send, payload in made:
-            if payload:
-                _do(send, payload)
+            _do(send, payload)
         if self._waiting:
             self._send_in(_NEXT_S)
 
@@ -325,42 +334,33 @@ class Bundle:
             self._send()
 
 
-class BatchingPublisher(Outlet):
-    """An outlet whose messages wait for others."""
-
-    def __init__(self, outlet: Outlet, bundle: Bundle, within: float) -> None:
-        self._outlet, self._bundle, self._within = outlet, bundle, within
-
-    def put(self, payload: bytes, attachment: bytes | None = None) -> None:
-        self._bundle.put(
-            self._within, partial(self._outlet.put, attachment=attachment), bytes, payload
-        )
-
-    def put_later(self, make: Callable[..., bytes], *what: Any) -> None:
-        self._bundle.put(self._within, self._outlet.put, make, *what)
-
-    def is_wanted(self) -> bool:
-        return self._outlet.is_wanted()
-
-    def close(self) -> None:
-        self._bundle.flush()
-        self._outlet.close()
-
-
 class PollingReader(Held):
-    """Takes the messages of a ring, every ``within`` seconds, until it is closed."""
+    """Takes the messages of a ring, every ``within`` seconds, until it is closed.
+
+    All readers of a loop look at the same moments: one wake-up serves them.
+    """
 
     def __init__(
-        self, declared: Held, ring: Inbox[T], take: Callable[[T], None], within: float
+        self,
+        declared: Held,
+        ring: Inbox[tuple[Any, ...]],
+        take: Callable[..., None],
+        within: float,
     ) -> None:
         self._loop = asyncio.get_running_loop()
         self._declared, self._within = declared, within
-        self._ring: Inbox[Any] = ring
-        self._take: Callable[[Any], None] = take
-        self._found: deque[Any] = deque()  # taken from the ring, and not handed on yet
+        self._ring, self._take = ring, take
+        # Taken from the ring, and not handed on yet.
+        self._found: deque[tuple[Any, ...]] = deque()
         self._is_full = False  # the ring, when it was taken from: there is more
         self._is_open = True
-        self._timer = self._loop.call_later(within, self._look)
+        self._due = self._loop.time() // within * within
+        self._wait()
+
+    def _wait(self) -> None:
+        late, within = self._loop.time() - self._due, self._within
+        self._due += within * (1 + late // within)
+        self._timer = self._loop.call_at(self._due, self._look)
 
     def _look(self) -> None:
         until = perf_counter() + TURN
@@ -368,13 +368,14 @@ class PollingReader(Held):
             self._found.extend(self._ring.take())
             self._is_full = len(self._found) >= AT_ONCE
         while self._found and self._is_open:
-            _do(self._take, self._found.popleft())
+            _do(self._take, *self._found.popleft())
             if perf_counter() >= until:
                 break
-        if self._is_open:
+        if self._is_open and (self._is_full or self._found):
             # Others have their turn, and then messages that are left or came meanwhile.
-            pause = 0.0 if self._is_full or self._found else self._within
-            self._timer = self._loop.call_later(pause, self._look)
+            self._timer = self._loop.call_later(0.0, self._look)
+        elif self._is_open:
+            self._wait()
 
     def close(self) -> None:
         self._is_open = False

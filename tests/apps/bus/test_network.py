@@ -6,6 +6,7 @@ import asyncio
 from collections import Counter
 from functools import partial
 from typing import Any
+from unittest.mock import Mock
 
 import anyio
 import pytest
@@ -14,7 +15,6 @@ from m100link.apps.bus import network
 from m100link.apps.bus.network import (
     AT_ONCE,
     TURN,
-    BatchingPublisher,
     Bundle,
     Inbox,
     Outlet,
@@ -64,34 +64,28 @@ def anyio_backend() -> tuple[str, dict[str, Any]]:
 class Sink(Outlet):
     def __init__(self) -> None:
         self.sent: list[tuple[float, bytes]] = []
-        self.is_open = True
 
     def put(self, payload: bytes, attachment: bytes | None = None) -> None:
-        assert self.is_open
         self.sent.append((anyio.current_time(), payload))
 
     def is_wanted(self) -> bool:
-        return self.is_open
+        return True
 
     def close(self) -> None:
-        self.is_open = False
-
-
-def bundle() -> Bundle:
-    return Bundle(asyncio.get_running_loop())
+        """Nothing is held."""
 
 
 async def test_messages_go_together_and_none_later_than_it_may() -> None:
-    one, sink = bundle(), Sink()
-    slow, fast = BatchingPublisher(sink, one, 0.1), BatchingPublisher(sink, one, 0.02)
+    one, sink = Bundle(asyncio.get_running_loop()), Sink()
+    slow, fast = (partial(one.put, within, sink.put, str.encode) for within in (0.1, 0.02))
     begin = anyio.current_time()
-    slow.put(b"0")
+    slow("0")
     await anyio.sleep(0.05)
-    slow.put(b"1")
+    slow("1")
     assert sink.sent == []
     await anyio.sleep(0.06)
-    slow.put(b"2")
-    fast.put(b"3")
+    slow("2")
+    fast("3")
     await anyio.sleep(0.5)
     at = [round(when - begin, 3) for when, _ in sink.sent]
     assert [payload for _, payload in sink.sent] == [b"0", b"1", b"2", b"3"]
@@ -100,9 +94,9 @@ async def test_messages_go_together_and_none_later_than_it_may() -> None:
 
 async def test_many_go_in_pieces_and_in_their_order() -> None:
     sink = Sink()
-    outlet = BatchingPublisher(sink, bundle(), 0.02)
+    one = Bundle(asyncio.get_running_loop())
     for number in range(1000):
-        outlet.put(b"%d" % number)
+        one.put(0.02, sink.put, str.encode, str(number))
     await anyio.sleep(0.1)
     assert [payload for _, payload in sink.sent] == [b"%d" % number for number in range(1000)]
     assert list(Counter(at for at, _ in sink.sent).values()) == [256, 256, 256, 232]
@@ -110,7 +104,7 @@ async def test_many_go_in_pieces_and_in_their_order() -> None:
 
 async def test_what_is_made_later_is_made_as_it_goes_and_harms_no_other() -> None:
     sink = Sink()
-    outlet = BatchingPublisher(sink, bundle(), 0.02)
+    put = partial(Bundle(asyncio.get_running_loop()).put, 0.02, sink.put)
     begin = anyio.current_time()
 
     def late() -> bytes:
@@ -119,26 +113,14 @@ async def test_what_is_made_later_is_made_as_it_goes_and_harms_no_other() -> Non
     def wrong() -> bytes:
         raise ValueError("nothing can be made of it")
 
-    outlet.put_later(late)
-    outlet.put_later(wrong)
-    outlet.put(b"last")
+    put(late)
+    put(wrong)
+    put(bytes)  # of which nothing goes
+    put(str.encode, "last")
     await anyio.sleep(0.1)
     assert [payload for _, payload in sink.sent] == [b"0.020", b"last"]
     Sink.put_later(sink, late)  # where nothing waits it is made at once
     assert sink.sent[-1][1] == b"0.100"
-
-
-async def test_what_waits_goes_before_its_outlet_ends() -> None:
-    sink = Sink()
-    outlet = BatchingPublisher(sink, bundle(), 10.0)
-    for number in range(200):
-        outlet.put(b"%d" % number)
-    assert outlet.is_wanted()
-    outlet.close()
-    assert len(sink.sent) == 200
-    assert not outlet.is_wanted()
-    await anyio.sleep(20.0)
-    assert len(sink.sent) == 200
 
 
 class Channel:
@@ -161,6 +143,7 @@ async def test_a_ring_is_looked_at_until_it_is_closed(
 ) -> None:
     """A ring that was full is looked at again at once, and after a part of several turns too."""
     channel, found = Channel(), list[int]()
+    await anyio.sleep(0.02 - anyio.current_time() % 0.02)  # all readers look at the same moments
     clock = 0.0
     monkeypatch.setattr(network, "perf_counter", lambda: clock)
 
@@ -171,7 +154,8 @@ async def test_a_ring_is_looked_at_until_it_is_closed(
             raise ValueError("what one message leads to does not happen to the next one")
         found.append(one)
 
-    looks = PollingReader(channel, Ring(channel, int, AT_ONCE, EOFError), take, 0.02)
+    ring = Ring(channel, lambda one: (one,), AT_ONCE, EOFError)
+    looks = PollingReader(channel, ring, take, 0.02)
     channel.has = list(range(2 * AT_ONCE))
     await anyio.sleep(0.019)
     assert found == []  # they wait for others
@@ -183,6 +167,20 @@ async def test_a_ring_is_looked_at_until_it_is_closed(
     await anyio.sleep(1.0)
     assert len(found) == 2 * AT_ONCE - 1
     assert Ring(channel, int, 9, EOFError).take() == []
+
+
+async def test_one_wake_up_serves_all_readers() -> None:
+    looked: list[list[float]] = [[], []]
+    readers = []
+    for its in looked:
+        ring = Mock(take=lambda its=its: its.append(round(anyio.current_time(), 6)) or [])
+        readers.append(PollingReader(Sink(), ring, print, 0.05))
+        await anyio.sleep(0.013)
+    await anyio.sleep(1.0)
+    assert looked[0] == looked[1]
+    assert 19 <= len(looked[0]) <= 21
+    for one in readers:
+        one.close()
 
 
 async def test_of_too_much_in_a_queue_the_oldest_is_lost() -> None:
@@ -220,10 +218,10 @@ async def test_what_is_dear_to_read_leaves_turns_to_others(
         clock += cost
         taken.append(one)
 
-    class Full(Inbox[int]):
-        found: tuple[int, ...] = tuple(range(100))
+    class Full(Inbox[tuple[int]]):
+        found: tuple[tuple[int], ...] = tuple((number,) for number in range(100))
 
-        def take(self) -> list[int]:
+        def take(self) -> list[tuple[int]]:
             found, self.found = self.found, ()
             return list(found)
 
@@ -231,7 +229,8 @@ async def test_what_is_dear_to_read_leaves_turns_to_others(
     queue = ThreadQueue(loop, take, 1000)
     for number in range(100):
         queue.put(number)
-    looks = PollingReader(Sink(), Full(), take, 0.0)
+    looks = PollingReader(Sink(), Full(), take, 1.0)
+    loop.call_soon(looks._look)
     while len(taken) < 200:
         began = clock
         await asyncio.sleep(0)

@@ -47,6 +47,20 @@ async def sessions() -> AsyncIterator[tuple[ZenohBus, ZenohBus]]:
         )
 
 
+async def test_what_waits_goes_before_its_outlet_ends() -> None:
+    sent: list[bytes] = []
+    session = Mock()
+    session.declare_publisher.return_value.put = lambda payload, **_: sent.append(payload)
+    outlet = ZenohBus(session).publish("a/b", within=10.0)
+    for number in range(200):
+        outlet.put_later(str.encode, str(number))
+    assert outlet.is_wanted()
+    assert sent == []
+    outlet.close()
+    assert sent == [b"%d" % number for number in range(200)]
+    assert not outlet.is_wanted()
+
+
 @pytest.mark.pty
 @pytest.mark.smoke
 async def test_messages_arrive_in_the_event_loop(
