@@ -9,12 +9,24 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import signal
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
+from functools import partial
+from math import dist
 from random import Random
 
 import pytest
 
-from m100link import AuthorityState, LinkError, M100Error, NoAuthority
+from m100link import (
+    AuthorityState,
+    LinkError,
+    M100Error,
+    NoAuthority,
+    Position,
+    Target,
+    Waypoint,
+    WaypointPlan,
+)
+from m100link.geodesy import LocalFrame
 from m100link.sim import LineFaults
 from tests.flight.test_signals import acted, come
 from tests.rig import FIRMWARES, NORTH, Rig, rig
@@ -118,6 +130,93 @@ async def block_after_block(flown: Rig) -> None:
             await asyncio.sleep(0.05)
 
 
+# -- programs whose aircraft flies by itself -------------------------------------------------------
+
+
+async def up_and_down(flown: Rig) -> None:
+    async with flown.aircraft.control() as control:
+        for _ in range(5):
+            await control.land()
+            await control.take_off()
+
+
+async def home(flown: Rig) -> None:
+    async with flown.aircraft.control() as control:
+        await control.fly_to(north=15.0, east=3.0, up=3.0)
+        await control.go_home()
+
+
+async def around_a_place(flown: Rig) -> None:
+    async with flown.aircraft.control() as control:
+        await control.orbit(center_north=5.0, center_east=0.0, turns=4.0)
+
+
+async def along_a_path(flown: Rig) -> None:
+    async with flown.aircraft.control() as control:
+        await control.fly_path([(5, 0, 3), (5, 5, 4), (0, 5, 3), (30, 30, 3)], speed=4.0)
+
+
+def place(flown: Rig, north: float) -> tuple[float, float]:
+    here = flown.aircraft.state.get(Position)
+    assert here is not None
+    return LocalFrame(here.latitude_deg, here.longitude_deg).to_geodetic(north, 0.0)
+
+
+async def by_waypoints(flown: Rig) -> None:
+    points = [Waypoint(*place(flown, north), height=8.0) for north in (8.0, 25.0, 60.0)]
+    async with flown.aircraft.control() as control:
+        async with control.waypoint_mission(WaypointPlan(points, speed=4.0)) as mission:
+            async for _ in mission:
+                pass
+
+
+async def around_a_hotpoint(flown: Rig) -> None:
+    async with flown.aircraft.control() as control:
+        await control.climb_to(7.0)
+        latitude_deg, longitude_deg = place(flown, 6.0)
+        async with control.hotpoint(
+            latitude_deg=latitude_deg,
+            longitude_deg=longitude_deg,
+            height=7.0,
+            radius=6.0,
+            rate_deg_s=10.0,
+        ) as mission:
+            async for _ in mission:
+                pass
+
+
+async def behind_a_target(flown: Rig) -> None:
+    async with flown.aircraft.control() as control:
+        await control.climb_to(7.0)
+        targets = [Target(*place(flown, 6.0 + ahead)) for ahead in range(60)]
+        async with control.follow_target(targets[0]) as mission:
+            for target in targets:
+                await asyncio.sleep(0.5)
+                mission.set_target(target)
+
+
+async def under_time_outs(flown: Rig) -> None:
+    async with flown.aircraft.control() as control:
+        fly_to = partial(control.fly_to, north=10.0, east=0.0, up=2.0)
+        for turn in range(40):
+            do = (control.land, control.take_off, fly_to, control.go_home)
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(0.05 + 0.07 * turn):
+                    await do[turn % 4]()
+            await asyncio.sleep(0.3)
+
+
+BY_ITSELF: list[Callable[[Rig], Awaitable[None]]] = [
+    up_and_down,
+    home,
+    around_a_place,
+    along_a_path,
+    by_waypoints,
+    around_a_hotpoint,
+    behind_a_target,
+    under_time_outs,
+]
+
 PROGRAMS: list[Callable[[Rig], Awaitable[None]]] = [
     in_a_loop,
     in_a_loop_that_lands,
@@ -144,7 +243,9 @@ class Cuts:
         is_line_bad: Whether frames were lost or the line ended: a release may not have arrived.
     """
 
-    def __init__(self, flown: Rig, seed: int) -> None:
+    def __init__(
+        self, flown: Rig, seed: int, programs: Sequence[Callable[[Rig], Awaitable[None]]] = PROGRAMS
+    ) -> None:
         self.flown = flown
         self.random = Random(seed)
         self.log: list[str] = []
@@ -152,7 +253,7 @@ class Cuts:
         self.closing: asyncio.Task[None] | None = None
         self._others = asyncio.all_tasks()
         self._crash = asyncio.Event()
-        program = self.random.choice(PROGRAMS)
+        program = self.random.choice(programs)
         self.log.append(program.__name__)
         self.task = asyncio.create_task(self._fly(program))
 
@@ -273,6 +374,33 @@ async def test_a_flight_cut_off_at_random(seed: int, acted: list[signal.Signals]
             await cuts.happen()
             await cuts.end()
             await assert_left_in_order(flown, cuts)
+        except BaseException:
+            print("\n".join(cuts.log))  # noqa: T201 (pytest shows it when the test fails)
+            raise
+        with contextlib.suppress(LinkError):
+            await flown.aircraft.aclose()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(32))
+async def test_a_flight_by_itself_cut_off_at_random(seed: int, acted: list[signal.Signals]) -> None:
+    """A task, a closed loop or a mission: it hovers or stands wherever that ends."""
+    async with rig(firmware="3.1") as flown:
+        async with flown.aircraft.control() as control:
+            await control.take_off()
+        cuts = Cuts(flown, seed, BY_ITSELF)
+        try:
+            await asyncio.sleep(cuts.random.choice([0.0, 0.5, 2.0, 5.0, 9.0, 14.0]))
+            await cuts.happen()
+            await cuts.end()
+            flown.virtual.app_releases_control()
+            flown.virtual.return_to_f()
+            await asyncio.sleep(8.0)
+            count, place, height = len(flown.moves), flown.virtual.position, flown.virtual.height
+            await asyncio.sleep(3.0)
+            assert dist((*flown.virtual.position, flown.virtual.height), (*place, height)) < 0.3
+            assert len(flown.moves) == count, "setpoints went on"
+            assert flown.is_released or cuts.is_line_bad
         except BaseException:
             print("\n".join(cuts.log))  # noqa: T201 (pytest shows it when the test fails)
             raise
