@@ -123,8 +123,8 @@ class Conductor:
         try:
             return dict(zip(self._tracks, await self._each(self._watch), strict=True))
         except asyncio.CancelledError:
-            names = ", ".join(sorted(self._flying))
-            self._tell(f"{names}: the show goes on; m100link fleet stop --all stops them")
+            if names := ", ".join(sorted(self._flying)):
+                self._tell(f"{names}: the show goes on; m100link fleet stop --all stops them")
             raise
 
     async def _attend(self) -> None:
