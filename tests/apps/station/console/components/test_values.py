@@ -24,6 +24,7 @@ from nicegui.events import GenericEventArguments
 from nicegui.page import page as page_of_nicegui
 
 from m100link.apps.agent import orders
+from m100link.apps.agent.lease import LeaseHeld
 from m100link.apps.station.config import Video
 from m100link.apps.station.console.components import data, fly, header, plan, settings
 from m100link.apps.station.console.components.component import (
@@ -1368,3 +1369,257 @@ async def test_the_log_has_the_origin_of_a_video_and_few_words(
     await here.event(layout, "video_told", "old")
     assert here.notes[1:] == [("note", f"{name}: a page gets no picture")]
     assert here.find(id="video").tag == "button"
+
+
+# -- the Data and Events views: numbers, tables, a recorded flight, and what happened --------------
+
+
+def test_the_attitude_is_drawn_from_behind_and_told_to_be_old(here: Here) -> None:
+    """The scene has x to the east and z up: the nose points north at a heading of 0."""
+    part = here.make(data.TelemetryPart)
+    turned: list[tuple[float, ...]] = []
+    part._model = SimpleNamespace(rotate=lambda *angles: turned.append(angles))
+    names = [one.name for one in view_of_fly.FIELDS]
+
+    def update(attitude: tuple[float, float, float] | None, *, is_stale: bool) -> None:
+        readings = {
+            name: view_of_fly.FieldReading(Text("link.none"), is_stale=is_stale) for name in names
+        }
+        part.update(
+            SimpleNamespace(instruments=SimpleNamespace(readings=readings, attitude=attitude))
+        )
+
+    for attitude, is_old in (((10.0, 20.0, 30.0), False), (None, True), ((0.0, 0.0, 90.0), False)):
+        update(attitude, is_stale=is_old)
+        assert ("stale" in part._frame._classes) is is_old
+        assert bool(part._age.text) is is_old
+        rows = [one._row._classes for one in part._rows.values()]
+        assert all(("stale" in row) is is_old for row in rows)
+    assert [tuple(map(math.degrees, one)) for one in turned] == [
+        pytest.approx((10.0, -20.0, 60.0)),
+        pytest.approx((0.0, 0.0, 0.0)),
+    ]
+    channels = [
+        one.props["data-rc"] for one in here.client.elements.values() if "data-rc" in one.props
+    ]
+    assert channels == ["roll", "pitch", "yaw", "throttle"]
+
+
+def test_tables_of_the_link_are_filled_anew_and_keep_their_cells(here: Here) -> None:
+    part = here.make(data.LinkPart)
+
+    def cells(name: str) -> list[Any]:
+        table = here.find(id=f"link-{name}").default_slot.children[0]
+        return list(table.default_slot.children)
+
+    def update(rates: int, causes: Any = (), dropped: Any = ()) -> None:
+        rows = [
+            SimpleNamespace(
+                name=Text("plots.item.battery"), rate=f"{n} Hz", jitter=f"{n} ms", longest_gap="2 s"
+            )
+            for n in range(rates)
+        ]
+        texts = dict.fromkeys(data.LINK_ITEMS, Text("link.none"))
+        with here.client:
+            part.update(
+                SimpleNamespace(
+                    link=SimpleNamespace(
+                        texts=texts, reason="cut", causes=causes, rates=rows, dropped=dropped
+                    )
+                )
+            )
+
+    none = here.wording(Text("link.none"))
+    update(1)
+    assert [one.text for one in cells("causes")] == [none, ""]
+    assert all(one.text == none for one in part._numbers.values())
+    assert part._reason.text == "cut"
+    before = cells("rates")
+    battery = here.wording(Text("plots.item.battery"))
+    assert [one.text for one in before][4:] == [battery, "0 Hz", "0 ms", "2 s"]
+    assert len(before) == 8, "titles, and a row"
+    update(1, ((Text("link.none"), "7"), (Text("link.none"), "8")), (("anna", "9"),))
+    assert cells("rates") == before, "nobody who reads or selects loses them"
+    assert [one.text for one in cells("causes")] == [none, "7", none, "8"]
+    assert [one.text for one in cells("dropped")][2:] == ["anna", "9"]
+    update(2)
+    assert [one.text for one in cells("rates")][8:] == [battery, "1 Hz", "1 ms", "2 s"]
+
+
+class Flight(SimpleNamespace):
+    """A recorded flight with a row each ten seconds: its values are 1, 2 and so on."""
+
+    def __init__(self, began: float | None, took_off: float | None, *alarms: Any) -> None:
+        story = {"began_utc": began, "took_off_s": took_off, "duration_s": 40.0, "alarms": alarms}
+        super().__init__(story=SimpleNamespace(**story), asked=[])
+
+    def between(self, names: Any, begin: float, end: float, most: int) -> list[tuple[float, ...]]:
+        self.asked.append((tuple(names), begin, end, most))
+        times = (at for at in (0.0, 10.0, 20.0, 30.0, 40.0) if begin <= at <= end)
+        return [(at, *(float(n + 1) for n in range(len(names)))) for at in times]
+
+    def near(self, names: Any, at: float) -> list[float]:
+        return [at] * len(names)
+
+
+async def test_a_recorded_flight_is_drawn_whole_or_in_part_beside_another(here: Here) -> None:
+    """What was commanded and the other flight are dashed; the other one by its own take-off."""
+    alarm = SimpleNamespace(begin_s=1.5, end_s=2.5)
+    own, other = Flight(1000.0, 5.0, alarm), Flight(None, 12.0)
+    history, compared = here.page.history, PlotHistory()
+    history.recorded, compared.recorded = cast(Any, own), cast(Any, other)
+    here.page = replace(here.page, history_of=lambda name: compared if name == "other" else history)
+    here.page.memory.compared = "other"
+    part = here.make(data.PlotsPart)
+    part._names = ["velocity.north_m_s", "line.discards"]
+
+    def update(at: float, *, is_beside: bool = False) -> list[Any]:
+        here.notes.clear()
+        flight = SimpleNamespace(story=own.story, at=at, other=object() if is_beside else None)
+        with here.client:
+            part.update(SimpleNamespace(replay=object(), flight=flight))
+        codes = [code for kind, code in here.notes if kind == "script"]
+        cursor = codes.pop().partition("setCursor(")[2].rstrip(")")
+        rows = [json.loads(code.partition("...")[2][:-2]) for code in codes]
+        return [[*map(int, cursor.split(", "))], *rows]
+
+    cursor, row = update(20.0)
+    assert cursor == [part._chart.id, 2, 1_020_000]
+    version, drawn, range_ms = row
+    assert (version, range_ms) == (1, 40_000)
+    assert drawn[0] == [1_000_000, 1.0, 2.0, 3.0]
+    assert own.asked == [
+        (("velocity.north_m_s", "line.discards", "commanded.north_m_s"), 0.0, 40.0, 2000)
+    ]
+    assert not part._pause.visible
+    lines = part._chart.options["series"]
+    assert [line["lineStyle"].get("type") for line in lines] == [None, None, "dashed"]
+    assert lines[0]["markArea"]["data"] == [[{"xAxis": 1_001_500.0}, {"xAxis": 1_002_500.0}]]
+    assert update(21.0) == [[part._chart.id, 2, 1_021_000]], "the cursor alone"
+    _, (version, drawn, _) = update(21.0, is_beside=True)
+    assert (version, drawn[1]) == (2, [1_010_000, 1.0, 2.0, 3.0, 17.0, 17.0])
+    colours = [line["color"] for line in part._chart.options["series"]]
+    assert colours[2:] == ["#888", "#00897b", "#00897b"]
+    part._set_range(SimpleNamespace(value=30))
+    _, (_, drawn, range_ms) = update(21.0)
+    assert (len(drawn), range_ms) == (3, 30_000)
+    assert own.asked[-1][1:3] == (18.0, 48.0)
+    here.notes.clear()
+    part._download()
+    [(_, text, name, kind)] = here.notes
+    assert (name, kind) == ("m100link.csv", "text/csv")
+    times = [f"1970-01-01T00:17:{at}.000Z,1,2" for at in ("00", "10", "20")]
+    assert text.splitlines() == ["utc,velocity.north_m_s,line.discards", *times]
+    here.agent.state.replay = SimpleNamespace(position_s=21.0, utc=1021.0)
+    for args in (1_030_500.0, "1030500", None):
+        part._pointed(SimpleNamespace(args=args))
+    assert [type(one).__name__ for one in here.works] == ["coroutine"]
+    for work in here.works:
+        await work
+    assert here.notes[-1] == ("agent", orders.OrderReplay("seek 30.50"))
+
+
+def test_what_is_saved_of_a_live_chart_is_what_it_shows(here: Here) -> None:
+    for utc in (1000.0, 1000.1):
+        here.page.history.add(utc, known_view(None))
+    part = here.make(data.PlotsPart)
+    part._pointed(SimpleNamespace(args=1.0))
+    part._toggle()
+    here.page.history.add(1000.2, known_view(None))
+    here.notes.clear()
+    part._download()
+    [(_, text, _, _)] = here.notes
+    assert [line.partition(",")[0] for line in text.splitlines()] == [
+        *("utc", "1970-01-01T00:16:40.000Z", "1970-01-01T00:16:40.100Z")
+    ]
+    assert here.works == []
+
+
+def test_only_numbers_that_there_are_can_be_chosen(here: Here) -> None:
+    part = here.make(data.PlotsPart)
+    chosen: list[Any] = []
+    part._chosen = SimpleNamespace(set_value=chosen.append)
+    before = part._names
+    part._choose(SimpleNamespace(value=["line.discards", "no.such", "line.discards"]))
+    assert (chosen, part._names) == ([["line.discards"]], before)
+    part._choose(SimpleNamespace(value=None))
+    assert part._names == []
+
+
+async def test_lines_are_placed_once_and_those_of_the_flight_lead_there(here: Here) -> None:
+    part = here.make(data.EventsPart)
+    lines: list[Any] = []
+
+    def line(level: str, source: str, at: float) -> None:
+        number = len(lines) + 1
+        lines.append(data.EventLine(number, at, level, source, f"text {number}"))
+
+    def update() -> list[Any]:
+        here.notes.clear()
+        with here.client:
+            part.update(SimpleNamespace(events=tuple(lines)))
+        return list(part._list.default_slot.children)
+
+    line("info", "agent", 3600.0)
+    line("error", "flight", 3661.0)
+    first = update()
+    assert [one.text[:10] for one in first] == ["01:00:00 ·", "01:01:01 ◆"]
+    assert [("jump" in one._classes, one._event_listeners != {}) for one in first] == [
+        *((False, False), (True, True))
+    ]
+    assert len(here.notes) == 1, "the newest is scrolled to"
+    assert (update(), here.notes) == (first, [])
+    line("warning", "agent", 3662.0)
+    assert update()[:2] == first
+    here.agent.state.replay = SimpleNamespace(position_s=5.0, utc=3600.0)
+    await here.event(first[1], "click")
+    assert ("agent", orders.OrderReplay("seek 66.00")) in here.notes
+    part._choose(least="warning")
+    assert [one.text[9:10] for one in update()] == ["◆", "▲"]
+    for _ in range(250):
+        line("error", "agent", 3700.0)
+    assert len(update()) == 200
+    assert "200" in part._count.text
+    assert "253" in part._count.text
+
+
+@pytest.mark.parametrize("is_free", [False, True])
+async def test_a_take_over_is_asked_for_and_confirmed_by_its_own_press(
+    here: Here, is_free: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    timers: list[Any] = []
+    monkeypatch.setattr(ui, "timer", lambda _, work, **__: timers.append(work))
+    dialog = header.TakeOverDialog(cast(Any, here.tab), here.wording)
+    wanted = SimpleNamespace(from_name="bert")
+    here.tab.session.confirm = here._async("confirm")
+
+    async def ask_take_over() -> Any:
+        if is_free:
+            raise UsageError("nobody has it")
+        return wanted
+
+    here.tab.session.ask_take_over = ask_take_over
+    await dialog.obtain()
+    dialog.update()
+    assert (timers, here.notes) == ([], [("obtain",)])
+    here.raises = LeaseHeld("bert has it")
+    await dialog.obtain()
+    here.raises = None
+    for _ in range(2):
+        dialog.update()
+    [ask] = timers
+    here.notes.clear()
+    with here.client:
+        await ask()
+    if is_free:
+        with pytest.raises(ValueError, match="expected 1"):
+            here.find(id="take-over")
+        return
+    assert "bert" in here.find(id="take-over").text
+    [shown] = [one for one in here.client.elements.values() if isinstance(one, ui.dialog)]
+    [leaves] = here.find(id="leave")._event_listeners.values()
+    assert shown.value
+    cast(Any, leaves.handler)()
+    assert (shown.value, here.notes) == (False, [])
+    await here.event(here.find(id="confirm"), "click", {"at": 5.0})
+    assert here.notes == [("check_order", 5.0), ("confirm", wanted)]
