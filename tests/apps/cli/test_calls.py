@@ -394,6 +394,8 @@ def fleet_of(notes: Notes) -> Any:
             fetch_log=fetch_log,
             asker=SimpleNamespace(**notes.awaited(None, "ask")),
             audit=f"the log of {name}",
+            bus="bus",
+            keys=f"keys of {name}",
             stop=notes.awaited(None, f"{name}.stop")[f"{name}.stop"],
             mission=notes.awaited(
                 replace(card, index=2, elapsed_s=61.4, distance_m=12.6), "mission"
@@ -450,6 +452,7 @@ def fleet(cli: CommandLine, monkeypatch: pytest.MonkeyPatch, notes: Notes) -> No
     monkeypatch.setattr("m100link.apps.cli.fleet.connect", connect)
     monkeypatch.setattr(fleet_verbs, "FleetTelemetry", Heard)
     monkeypatch.setattr(fleet_verbs, "ended_by_signal", Over)
+    monkeypatch.setattr(fleet_setup, "ended_by_signal", Over)
     monkeypatch.setattr(fleet_plans, "borrowed", lambda *where: (len(where[0]), f"of {where[1]}"))
     monkeypatch.setattr(time, "time", lambda: 0.0)
     monkeypatch.setattr("getpass.getuser", lambda: "anna")
@@ -731,6 +734,69 @@ def test_the_parts_of_a_fleet_file_come_up(
         assert settings.max_height == (30.0 if name == "a2" else settings_default("max_height"))
     assert says in outcome.out
     assert "agent" not in outcome.out
+
+
+@pytest.mark.parametrize("is_secure", [False, True])
+@pytest.mark.usefixtures("fleet")
+def test_the_console_of_a_fleet_is_opened_where_it_is_served(
+    cli: CommandLine, monkeypatch: pytest.MonkeyPatch, notes: Notes, tmp_path: Path, is_secure: bool
+) -> None:
+    @asynccontextmanager
+    async def serving(_: object, settings: Settings, names: Any) -> AsyncIterator[Any]:
+        notes.note("serve", names, port=settings.console_port)
+        yield SimpleNamespace(
+            sockets=SimpleNamespace(port={"console": 8123}.__getitem__),
+            console_path=lambda: "/?code=1",
+            agents={"a1": None},
+        )
+
+    monkeypatch.setattr(fleet_setup, "serving_fleet_console", serving)
+    monkeypatch.setattr(fleet_setup, "require_packages", lambda: None)
+    monkeypatch.setattr(fleet_setup, "webbrowser", SimpleNamespace(open=notes.append))
+    words = ["a1", "--console-port", "8100"]
+    if is_secure:
+        for name in ("cert", "key"):
+            (tmp_path / name).write_text("x")
+            words += [f"--tls-{name}", str(tmp_path / name)]
+    else:
+        words.append("--no-open-browser")
+    outcome = cli("fleet", "console", *words, "--table")
+    url = f"{'https' if is_secure else 'http'}://127.0.0.1:8123/?code=1"
+    assert outcome.status == 0, outcome
+    assert outcome.out.splitlines()[:2] == [f"console:   {url}", "aircraft:  a1"]
+    assert notes[1:] == ["serve(('a1',), port=8100)", *([url] if is_secure else [])]
+    assert "an aircraft that was flown from here hovers" in outcome.err
+
+
+@pytest.mark.usefixtures("fleet")
+def test_agents_run_until_the_end(
+    cli: CommandLine, monkeypatch: pytest.MonkeyPatch, notes: Notes
+) -> None:
+    @asynccontextmanager
+    async def serving(aircraft: Any, fleet: Any, _: object) -> AsyncIterator[Any]:
+        notes.note("serve", list(aircraft), site=fleet.site)
+        yield {"b1": None, "b2": None}
+        notes.note("over")
+
+    monkeypatch.setattr(fleet_setup, "serving_fleet", serving)
+    monkeypatch.setattr(fleet_setup, "leave_what_stays", lambda: notes.note("stays"))
+    outcome = cli("fleet", "agent", "sim://", "--name", "b", "--count", "2", "--table")
+    assert (outcome.status, outcome.out) == (0, "fleet:     site: b1, b2\n")
+    assert notes == ["serve(['b1', 'b2'], site='site')", "stays()", "over()"]
+    assert "ending: an aircraft that flies hovers" in outcome.err
+    refused = cli("fleet", "agent", "tcp://a:1", "--count", "2")
+    assert (refused.status, "--count is for virtual" in refused.err) == (ExitCode.USAGE, True)
+
+
+@pytest.mark.usefixtures("fleet")
+def test_a_list_of_revoked_names_is_brought_to_each(
+    cli: CommandLine, monkeypatch: pytest.MonkeyPatch, notes: Notes, tmp_path: Path
+) -> None:
+    (tmp_path / "revoked.list").write_bytes(b"the list")
+    monkeypatch.setattr(fleet_setup, "bring", notes.awaited(None, "bring")["bring"])
+    outcome = cli("fleet", "pki", "push", "--all", "--folder", str(tmp_path), "--table")
+    assert outcome.status == 0, outcome
+    assert notes[1:] == [f"bring('bus', 'keys of {name}', b'the list')" for name in ("a1", "a2")]
 
 
 # -- what serves ----------------------------------------------------------------------------------

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import io
+import json
 import math
 import signal
 import sys
@@ -27,11 +28,14 @@ from m100link.apps.cli import (
     common,
     configuration,
     connection,
+    decode,
     demo,
     fleet_plans,
     fleet_verbs,
     flight,
+    log,
     mission,
+    serve,
     sim,
     telemetry,
 )
@@ -41,6 +45,7 @@ from m100link.apps.doctor import Finding, Stage, Verdict
 from m100link.apps.doctor.first_contact import Observation, Topic
 from m100link.apps.fleet.logs.fetching import Fetched
 from m100link.apps.fleet.payloads import Card, MissionCard, MissionStage
+from m100link.apps.station.config import Settings
 from m100link.flight.mission_state import MissionKind
 from m100link.flight.missions.events import (
     Aborted,
@@ -1206,6 +1211,200 @@ async def test_a_duration_ends_a_verb_and_an_error_of_its_own_does_too() -> None
 
     with pytest.raises(TimeoutError, match="of its own"):
         await common.until(2.5, fails())
+
+
+@pytest.mark.parametrize(
+    ("words", "found"),
+    [
+        (["5", "-3.5", "1e1"], (5.0, -3.5, 10.0)),
+        (["5", "x", "0"], "'x' is not a number"),
+        (["5", "nan", "0"], "'nan' is not a number"),
+        (["inf", "0", "0"], "'inf' is not a number"),
+        (["5", "0"], "2 numbers were given"),
+        (["5", "0", "0", "1"], "4 numbers were given"),
+        ([], "0 numbers were given"),
+    ],
+)
+def test_a_flight_has_three_numbers(words: list[str], found: Any) -> None:
+    if isinstance(found, tuple):
+        assert flight._metres(words) == found
+        return
+    with pytest.raises(UsageError, match=found):
+        flight._metres(words)
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("aa0B", b"\xaa\x0b"),
+        ("0xAA 0Xbb:cc,dd\tee\n", b"\xaa\xbb\xcc\xdd\xee"),
+        ("", b""),
+        ("aa b", None),
+        ("zz", None),
+    ],
+)
+def test_hex_is_read_as_people_write_it(text: str, found: bytes | None) -> None:
+    with nullcontext() if found is not None else pytest.raises(UsageError, match="not hex"):
+        assert decode._from_hex(text) == found
+
+
+def test_two_flights_are_compared_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A difference has its sign; a number that neither flight has is left out."""
+
+    def value(name: str, first: float | None, second: float | None, by: float | None) -> Any:
+        return SimpleNamespace(name=name, first=first, second=second, by=by)
+
+    written = io.StringIO()
+    monkeypatch.setattr(log, "out", Console(file=written, width=200))
+    values = [value("way, m", 12.0, 10.5, -1.5), value("photos", None, 3.0, None)]
+    values += [value("none", None, None, None), value("alarms", 1.0, 3.0, 2.0)]
+    log._print_comparison(
+        cast(
+            "Any",
+            SimpleNamespace(
+                values=values, most_apart=(61.25, 7.06), mean_apart_m=2.04, commands=[],
+                alarms=["only in a: [low battery]"],
+            ),
+        ),
+        *("a", "b"),
+    )  # fmt: skip
+    assert [line.split() for line in written.getvalue().splitlines()] == [
+        *(["a", "b", "difference"], ["way,", "m", "12", "10.5", "-1.5"], ["photos", "3"]),
+        ["alarms", "1", "3", "+2"],
+        [
+            "apart",
+            "over",
+            "ground:",
+            "2.0",
+            "m",
+            "on",
+            "average,",
+            "at",
+            "most",
+            "7.1",
+            "m,",
+            "61.2",
+            "s",
+            "after",
+            "take-off",
+        ],
+        ["commands:", "the", "same"],
+        *(["alarms:"], ["only", "in", "a:", "[low", "battery]"]),
+    ]
+
+
+# -- what a station tells -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("level", ["info", "warning", "error"])
+@pytest.mark.parametrize("is_named", [True, False])
+def test_an_event_is_told_with_its_aircraft_in_the_log_or_in_words(
+    level: str, is_named: bool, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    written = io.StringIO()
+    monkeypatch.setattr(serve, "err", Console(file=written, width=20))
+    teller: Any = SimpleNamespace(do=lambda work: work())
+    event: Any = SimpleNamespace(level=level, text="a very long [text] of what happened")
+    words: Any = SimpleNamespace(log_json=False)
+    serve.tell_event(teller, words, "kite", event, is_named=is_named)
+    assert written.getvalue() == ("kite: " if is_named else "") + f"{event.text}\n"
+    assert caplog.records == []
+    with caplog.at_level("INFO"):
+        serve.tell_event(teller, cast("Any", SimpleNamespace(log_json=True)), "kite", event)
+    [record] = caplog.records
+    assert (record.levelname, record.getMessage()) == (level.upper(), event.text)
+    assert cast("Any", record).aircraft == "kite"
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        ({}, ""),
+        ({"host": "0.0.0.0"}, "without TLS everybody on this network can read the token"),
+        ({"allow_origin": ("null",)}, "--allow-origin null admits pages"),
+        ({"allow_origin": ("https://a.b",)}, ""),
+        ({"unused": ("[x]", "y")}, "ignores these parameters of the launch file: [x], y"),
+    ],
+)
+def test_settings_that_are_dangerous_are_told(
+    given: dict[str, Any], says: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    written = io.StringIO()
+    monkeypatch.setattr(serve, "err", Console(file=written, width=300))
+    serve.warn_of(Settings(**given))
+    assert says in written.getvalue()
+    assert bool(written.getvalue()) is bool(says)
+
+
+@pytest.mark.parametrize("fails", [False, True])
+@pytest.mark.parametrize("has_scenario", [False, True])
+async def test_a_simulator_ends_all_that_it_began(
+    fails: bool,
+    has_scenario: bool,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Seconds of the clock of the loop; the line for programs has who it is."""
+    steps: list[str] = []
+    drivers: list[Any] = []
+
+    def driver(aircraft: str) -> Any:
+        made = SimpleNamespace(scenario=None, stop=lambda: steps.append(f"stop {aircraft}"))
+        drivers.append(made)
+        return made
+
+    async def open_ports(_: object, __: object, servers: list[Any]) -> list[str]:
+        servers.append(SimpleNamespace(stop=noted("server")))
+        if fails:
+            raise UsageError("no port")
+        return ["/dev/pts/1", "/dev/pts/2"]
+
+    def noted(name: str) -> Any:
+        async def note() -> None:
+            steps.append(name)
+
+        return note
+
+    control = SimpleNamespace(start=noted("start"), stop=noted("stop"), path=Path("/x/ctl"))
+    read = SimpleNamespace(read=lambda path: f"scenario of {path}")
+    for name, fake in (
+        *(("Driver", driver), ("_open_ports", open_ports), ("Scenario", read)),
+        *(("CtlServer", lambda _: control), ("when_signalled", lambda *_: None)),
+    ):
+        monkeypatch.setattr(sim, name, fake)
+
+    class Virtual(SimpleNamespace):
+        def __str__(self) -> str:
+            return str(self.name)
+
+    aircraft = [
+        Virtual(
+            name=name,
+            autopilot=SimpleNamespace(profile=PROFILES["3.1"]),
+            credentials=SimpleNamespace(app_id=9, level=1),
+            vehicle=SimpleNamespace(serial_number="S1"),
+        )
+        for name in ("one", "two")
+    ]
+    plan: Any = SimpleNamespace(
+        aircraft=aircraft, seed=5, duration=3.0, scenario=Path("s") if has_scenario else None
+    )
+    loop = asyncio.get_running_loop()
+    began = loop.time()
+    monkeypatch.setattr(OutputFormat, "json", True)
+    with nullcontext() if not fails else pytest.raises(UsageError):
+        assert await sim._serve(plan) == 0
+    assert steps == [*([] if fails else ["start"]), "stop", "server", "stop one", "stop two"]
+    if fails:
+        return
+    assert loop.time() - began == pytest.approx(3.0)
+    assert [one.scenario for one in drivers] == ["scenario of s" if has_scenario else None] * 2
+    told = json.loads(capsys.readouterr().out)
+    assert told | {"pid": 0} == {
+        **{"port": "/dev/pts/1", "ports": ["/dev/pts/1", "/dev/pts/2"], "firmware": "3.1"},
+        **{"seed": 5, "app_id": 9, "level": 1, "serial_number": "S1", "pid": 0},
+        "control_socket": "/x/ctl",
+    }
 
 
 def test_each_limit_is_as_agreed() -> None:
