@@ -1407,5 +1407,77 @@ async def test_a_simulator_ends_all_that_it_began(
     }
 
 
+@pytest.mark.parametrize("with_rosbridge", [True, False])
+@pytest.mark.parametrize("with_console", [True, False])
+async def test_packages_are_looked_for_where_pages_are_served(
+    with_rosbridge: bool, with_console: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def missing() -> None:
+        raise UsageError("a package is missing")
+
+    def began(*_: object) -> Any:
+        raise LinkError("it begins")
+
+    monkeypatch.setattr(serve, "require_packages", missing)
+    monkeypatch.setattr(serve, "_running", began)
+    monkeypatch.setattr(serve, "ended_by_signal", lambda: None)
+    options: Any = SimpleNamespace(show_config=False, log=None)
+    with pytest.raises(UsageError if with_rosbridge or with_console else LinkError):
+        await serve.run_station(
+            {"m100": Settings()}, options, with_rosbridge=with_rosbridge, with_console=with_console
+        )
+
+
+@pytest.mark.parametrize(("duration", "ends_at"), [(1.0, None), (None, 0.5), (1.0, 0.5)])
+async def test_the_screen_of_a_simulator_is_drawn_ten_times_a_second_until_its_end(
+    duration: float | None, ends_at: float | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[float] = []
+    loop, ended = asyncio.get_running_loop(), asyncio.Event()
+    began = loop.time()
+
+    class Live(nullcontext[Any]):
+        def __init__(self, *_: object, **__: object) -> None:
+            super().__init__(self)
+
+        def update(self, *_: object, **__: object) -> None:
+            drawn.append(loop.time() - began)
+
+    monkeypatch.setattr("rich.live.Live", Live)
+    monkeypatch.setattr(sim, "keys_pressed", lambda _: nullcontext())
+    view = SimpleNamespace(render=str, press=None)
+    monkeypatch.setattr(sim, "LiveView", lambda *_: view)
+    if ends_at is not None:
+        loop.call_later(ends_at, ended.set)
+    await sim._show(cast("Any", SimpleNamespace(aircraft=[0], duration=duration)), ["p"], ended)
+    until_s = ends_at or duration or math.inf
+    assert loop.time() - began == pytest.approx(until_s, abs=0.11)
+    assert drawn == pytest.approx([n / 10 for n in range(len(drawn))], abs=0.02)
+    assert len(drawn) == pytest.approx(10 * until_s, abs=1)
+
+
+@pytest.mark.parametrize(
+    ("width", "columns", "rows"), [(10, 20, 6), (30, 30, 10), (60, 60, 16), (200, 80, 16)]
+)
+def test_a_map_of_a_mission_fits_its_terminal(
+    width: int, columns: int, rows: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[dict[str, Any]] = []
+
+    def plot(track: Any, **how: Any) -> list[str]:
+        asked.append(how | {"track": list(track)})
+        return []
+
+    monkeypatch.setattr(mission, "track_plot", plot)
+    monkeypatch.setattr(mission, "out", SimpleNamespace(width=width))
+    show = shown_mission()
+    show._map()
+    show._track.append((1.0, 2.0))
+    show._map()
+    assert [(one["columns"], one["rows"]) for one in asked] == [(columns, rows)] * 2
+    assert [one["marks"][0][1] for one in asked] == ["0", "@"]
+    assert asked[1]["marks"][0][0] == (1.0, 2.0)
+
+
 def test_each_limit_is_as_agreed() -> None:
     assert limits.differences("apps/cli") == []
