@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import base64
 import hashlib
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 
 pytest.importorskip("starlette")
 from starlette.responses import HTMLResponse, PlainTextResponse, Response, StreamingResponse
+from starlette.routing import Route, WebSocketRoute
 
-from m100link.apps.station.console.app import Policy
+from m100link.apps.station.config import Settings
+from m100link.apps.station.console import app as module
+from m100link.apps.station.console.app import MOST_UNHEARD, Policy, console_app
 
 pytestmark = pytest.mark.anyio
 
@@ -81,3 +85,175 @@ async def test_what_is_no_page_passes_as_it_is() -> None:
     rules, body = await rules_of(PlainTextResponse("<script>x</script>"))
     assert rules == {}
     assert body == b"<script>x</script>"
+
+
+async def test_what_is_no_request_passes_as_it_is() -> None:
+    seen: list[Any] = []
+
+    async def app(*what: Any) -> None:
+        seen.append(what)
+
+    socket: Any = {"type": "websocket"}
+    await Policy(app)(socket, cast(Any, "receive"), cast(Any, "send"))
+    assert seen == [(socket, "receive", "send")]
+
+
+# -- what a page is given -------------------------------------------------------------------------
+
+
+class Browser:
+    """A page that was asked for, whose browser may open its socket, or go."""
+
+    def __init__(self, name: str) -> None:
+        self.id = name
+        self.connects: list[Any] = []
+        self.deletes: list[Any] = []
+
+    def on_connect(self, done: Any) -> None:
+        self.connects.append(done)
+
+    def on_delete(self, done: Any) -> None:
+        self.deletes.append(done)
+
+    def delete(self) -> None:
+        for done in self.deletes:
+            done()
+
+
+class Tab(SimpleNamespace):
+    """The tabs of a console of two aircraft."""
+
+    def __init__(self) -> None:
+        super().__init__(opened=[], closed=[], shown="shown", dropped="dropped of the console")
+
+    def open(self, aircraft: str, moved: str) -> tuple[str, Any]:
+        self.opened.append((aircraft, moved))
+        return f"key {len(self.opened)}", SimpleNamespace(aircraft=aircraft, agent=f"of {aircraft}")
+
+    def close(self, key: str) -> None:
+        self.closed.append(key)
+
+    async def serve(self, *_: object) -> None:
+        """Nobody steers."""
+
+
+def agent_named(works: list[str]) -> Any:
+    def spawn(work: Any, name: str) -> None:
+        work.close()
+        works.append(name)
+
+    return SimpleNamespace(background=SimpleNamespace(spawn=spawn))
+
+
+async def test_a_page_is_given_its_aircraft_and_what_was_flown(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """One history for each aircraft, which is kept from the beginning; one later from its page."""
+    made: list[tuple[tuple[Any, ...], dict[str, Any]]] = []
+    ran: list[tuple[Any, dict[str, Any]]] = []
+    works: list[str] = []
+    pages: list[Any] = []
+    middle: list[tuple[Any, Any]] = []
+
+    class Page:
+        def __init__(self, *what: Any, **more: Any) -> None:
+            made.append((what, more))
+
+        async def build(self, key: str) -> None:
+            made[-1][1]["key"] = key
+
+    given = SimpleNamespace(
+        config=SimpleNamespace(quasar_config={"loadingBar": {}}),
+        add_middleware=lambda kind, *, videos: middle.append((kind, videos)),
+        add_exception_handler=lambda code, _: pages.append(code),
+    )
+    heard = SimpleNamespace(on=lambda name, _: pages.append(name))
+    ui = SimpleNamespace(
+        page=lambda path, **_: (pages.append(path), pages.append)[1],
+        run_with=lambda app, **how: ran.append((app, how)),
+    )
+    for name, fake in (
+        *(("nicegui_app", given), ("ui", ui), ("Page", Page)),
+        ("core", SimpleNamespace(sio=heard)),
+    ):
+        monkeypatch.setattr(module, name, fake)
+    agents: dict[str, Any] = {name: agent_named(works) for name in ("a1", "a2")}
+    tabs, orders = Tab(), {"a2": "orders of a2"}
+    settings = Settings(video=("a1=http://127.0.0.1:8889/x",))
+    gate = console_app(agents, settings, cast(Any, orders), cast(Any, tabs))
+    assert works == ["history", "history"]
+    [(app, how)] = ran
+    assert (how["dark"], how["tailwind"], how["reconnect_timeout"]) == (None, False, 10.0)
+    routes = {one.path: type(one) for one in app.router.routes}
+    assert routes["/steer/{key}"] is WebSocketRoute
+    assert routes["/sw.js"] is routes["/tiles/{tile:path}"] is Route
+    assert given.config.quasar_config["loadingBar"] == {"skipHijack": True}
+    path, page, *others = pages
+    assert (path, others) == ("/", [404, "log"])
+    assert middle == [(Policy, ["http://127.0.0.1:8889"])]
+    assert gate is not None
+    one, other = Browser("one"), Browser("other")
+    await page(one, "a1", "from")
+    await page(other, "a2")
+    assert tabs.opened == [("a1", "from"), ("a2", "")]
+    (first, of_first), (second, of_second) = made
+    assert (first[0], first[2], second[0], second[2]) == ("of a1", None, "of a2", "orders of a2")
+    assert (of_first["key"], of_second["key"]) == ("key 1", "key 2")
+    assert (of_first["video"].origin, of_second["video"]) == ("http://127.0.0.1:8889", None)
+    assert of_first["tabs"] is tabs
+    history_of = of_first["history_of"]
+    assert history_of("a1") is history_of("a1") is of_second["history_of"]("a1")
+    assert history_of("a1") is not history_of("a2")
+    agents["a3"] = agent_named(works)
+    history_of("a3")
+    history_of("a3")
+    assert works == ["history"] * 3
+    one.delete()
+    assert tabs.closed == ["key 1"]
+
+
+def test_pages_whose_browser_never_comes_give_way() -> None:
+    unheard: dict[str, Any] = {}
+    browsers = [Browser(str(n)) for n in range(MOST_UNHEARD + 1)]
+    for one in browsers[:-1]:
+        module._wait_to_hear(cast(Any, one), unheard)
+    assert len(unheard) == MOST_UNHEARD
+    module._wait_to_hear(cast(Any, browsers[-1]), unheard)
+    assert list(unheard) == [one.id for one in browsers[1:]], "the oldest"
+    for done in browsers[3].connects:
+        done()
+    browsers[4].delete()
+    assert list(unheard) == [one.id for n, one in enumerate(browsers) if n not in (0, 3, 4)]
+
+
+async def test_the_console_gives_what_others_need_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    served: list[tuple[Any, ...]] = []
+    tabs = Tab()
+
+    def made(agents: Any, dropped: Any) -> Tab:
+        served.append((agents, dropped))
+        return tabs
+
+    def app_of(*what: Any) -> Any:
+        served.append(what)
+        return SimpleNamespace(access="the access")
+
+    async def serve_http(fronts: Any, name: str, app: Any, *, lifespan: str) -> None:
+        served.append((name, app.access, lifespan))
+
+    async def reached(name: str) -> str:
+        return f"agents of the {name}"
+
+    for name, fake in (("Tabs", made), ("console_app", app_of), ("serve_http", serve_http)):
+        monkeypatch.setattr(module, name, fake)
+    fronts = SimpleNamespace(
+        reached=reached, settings="settings", orders="orders", dropped={"rosbridge": "lost"}
+    )
+    await module.serve(cast(Any, fronts))
+    assert served == [
+        ("agents of the console", "lost"),
+        ("agents of the console", "settings", "orders", tabs),
+        ("console", "the access", "on"),
+    ]
+    assert (fronts.access, fronts.shown) == ("the access", "shown")
+    assert fronts.dropped == {"rosbridge": "lost", "console": "dropped of the console"}
