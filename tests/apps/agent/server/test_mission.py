@@ -6,19 +6,25 @@ import asyncio
 import math
 from contextlib import suppress
 from random import Random
+from types import SimpleNamespace
+from typing import Any, Self, cast
 
 import pytest
 
 from m100link.apps.agent import orders
-from m100link.apps.agent.server.mission import push_of
-from m100link.errors import M100Error, NotObserved
+from m100link.apps.agent.background import TaskSet
+from m100link.apps.agent.messages import EventTopic
+from m100link.apps.agent.server.mission import ActiveMission, push_of
+from m100link.errors import M100Error, MissionRunning, NotObserved, UsageError
 from m100link.flight.missions.events import (
+    Aborted,
     ActionsDone,
     Finished,
     MissionEvent,
     Paused,
     Reached,
     Started,
+    Stopped,
     Uploaded,
 )
 from m100link.flight.missions.mission_guard import MissionFlight
@@ -26,6 +32,7 @@ from m100link.geodesy import LocalFrame
 from m100link.missions.plan import AtEnd, WaypointPlan
 from m100link.missions.waypoint import Waypoint
 from m100link.protocol.codes import MissionCode
+from m100link.protocol.commands.control import Task
 from m100link.protocol.commands.hotpoint import HotpointStart
 from m100link.protocol.records import Device
 from m100link.protocol.setpoint import Setpoint
@@ -85,6 +92,196 @@ async def test_a_hover_in_the_turn_of_the_loop_in_which_a_mission_is_asked_for_e
             await asyncio.wait_for(asked, 5.0)
         assert not flying.mission.is_flying
         flying.steer(Setpoint.velocity(north=1.0, east=0.0, up=0.0, yaw_rate_deg_s=0.0))
+
+
+# -- how one ends, and what is said then: by a mission that does as it is told ---------------------
+
+
+class Script(MissionFlight):
+    """Begins, tells its events, and then ends well, badly, or not at all."""
+
+    is_unstopped = False  # type: ignore[assignment] # a property of the other one
+
+    def __init__(self, *told: MissionEvent | M100Error | None, fails: M100Error | None) -> None:
+        self.told, self.fails, self.stops = list(told), fails, 0
+
+    async def _begin(self) -> None:
+        """Nothing is sent."""
+
+    async def __aenter__(self) -> Self:
+        await asyncio.sleep(0.0)
+        if self.fails is not None:
+            raise self.fails
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        """The stop is that of the library."""
+
+    async def __anext__(self) -> MissionEvent:
+        if not self.told:
+            raise StopAsyncIteration
+        match self.told.pop(0):
+            case None:
+                await asyncio.sleep(math.inf)
+            case M100Error() as error:
+                raise error
+            case event:
+                return event
+        raise AssertionError
+
+    async def stop(self) -> None:
+        self.stops += 1
+        self.is_unstopped = self.stops < 3
+
+
+class Journal:
+    def __init__(self) -> None:
+        self.notes = list[tuple[str, str]]()
+        self.topics = list[EventTopic]()
+
+    def note(self, text: str, level: str = "info", topic: EventTopic = EventTopic.NONE) -> None:
+        self.notes.append((level, text))
+        self.topics.append(topic)
+
+
+WHAT = "mission of 2 waypoints"
+BEGINS = ("info", f"a {WHAT} begins")
+LANDS, HOVERS = AtEnd.LAND, AtEnd.HOVER
+
+
+def scripted(flight: Script) -> tuple[ActiveMission, Journal, SimpleNamespace]:
+    control = SimpleNamespace(is_flying=True, unended_task=Task.TAKE_OFF)
+    control.waypoint_mission = lambda plan, take_off: flight
+    journal = Journal()
+    return ActiveMission(cast(Any, control), cast(Any, journal), TaskSet()), journal, control
+
+
+def of_two(at_end: AtEnd = HOVERS) -> WaypointPlan:
+    places = [Waypoint(50.0, 8.0 + east, height=6) for east in (0.0, 1e-4)]
+    return WaypointPlan(places, speed=5, at_end=at_end)
+
+
+BROKEN = M100Error("it broke off")
+ENDS: list[tuple[list[Any], AtEnd, str, str, list[tuple[str, str]]]] = [
+    # What it tells (None: it waits), its end, what its client does, its outcome, and the journal.
+    (
+        [Reached(0), Finished()],
+        HOVERS,
+        "",
+        "",
+        [BEGINS, ("info", "waypoint 0 reached"), ("info", f"the {WHAT} is over")],
+    ),
+    (
+        [Stopped()],
+        HOVERS,
+        "",
+        f"the {WHAT} was stopped: its client stopped it",
+        [BEGINS, ("info", f"the {WHAT} is over")],
+    ),
+    (
+        [Aborted(None, "wind"), BROKEN],
+        HOVERS,
+        "",
+        "it broke off",
+        [
+            BEGINS,
+            ("warning", "the aircraft broke the mission off: wind"),
+            ("error", f"the {WHAT} ended: it broke off"),
+        ],
+    ),
+    (
+        [None],
+        LANDS,
+        "end",
+        f"the {WHAT} was stopped: STOP",
+        [
+            BEGINS,
+            ("info", "the mission is stopped: STOP"),
+            ("warning", f"the {WHAT} was stopped"),
+        ],
+    ),
+    (
+        [Finished(), None],
+        LANDS,
+        "end",
+        f"the {WHAT} was stopped: STOP",
+        [BEGINS, ("warning", f"the {WHAT} is left: the aircraft lands, as planned")],
+    ),
+    ([None], HOVERS, "cut off", f"the {WHAT} was stopped: control ended", [BEGINS]),
+]
+
+
+@pytest.mark.anyio
+@pytest.mark.parametrize(("told", "at_end", "act", "outcome", "notes"), ENDS)
+async def test_how_a_mission_ends_and_what_is_said(
+    told: list[Any], at_end: AtEnd, act: str, outcome: str, notes: list[tuple[str, str]]
+) -> None:
+    one, journal, _ = scripted(Script(*told, fails=None))
+    events = list[MissionEvent]()
+    one.on_event = events.append
+    over = await one.start(of_two(at_end))
+    await asyncio.sleep(0.1)
+    if act:
+        assert one.is_flying
+        with pytest.raises(MissionRunning, match="a setpoint was asked for"):
+            one.require_none("a setpoint")
+        is_landing = at_end is LANDS and isinstance(told[0], Finished)
+        assert one.is_landing is is_landing
+        assert one.task is (Task.LAND if is_landing else None)
+        if act == "end":
+            one.end("STOP")
+        else:
+            assert one.cut_off() == WHAT
+        await one.ended()
+    assert not one.is_flying
+    one.require_none("a setpoint")
+    assert str(getattr(over.exception(), "seen", "")) == outcome
+    assert journal.notes == notes
+    aborted = [EventTopic.MISSION_ABORTED] * (told[-1] is BROKEN)
+    assert [topic for topic in journal.topics if topic is not EventTopic.NONE] == aborted
+    assert events == [event for event in told if event is not None and event is not BROKEN]
+    with pytest.raises(UsageError, match="no mission flies"):
+        one.flight(MissionFlight)
+
+
+@pytest.mark.anyio
+async def test_one_that_could_not_begin_has_no_end_to_wait_for() -> None:
+    one, journal, _ = scripted(Script(fails=M100Error("on the ground")))
+    beginning = asyncio.create_task(one.start(of_two()))
+    await asyncio.sleep(0.0)
+    assert one.task is Task.TAKE_OFF
+    with pytest.raises(UsageError, match="has not begun yet"):
+        one.flight(MissionFlight)
+    with pytest.raises(M100Error, match="on the ground"):
+        await beginning
+    assert (one.is_flying, one.task) == (False, None)
+    assert journal.notes == [("error", f"the {WHAT} ended: on the ground")]
+    assert journal.topics == [EventTopic.NONE], "nothing that flew was broken off"
+
+
+@pytest.mark.anyio
+@pytest.mark.parametrize("ends", ["", "control", "left"])
+async def test_a_stop_without_an_answer_goes_out_again_as_long_as_there_is_control(
+    ends: str,
+) -> None:
+    flight = Script(None, fails=None)
+    one, journal, control = scripted(flight)
+    over = await one.start(of_two())
+    flight.is_unstopped = True
+    control.is_flying = ends != "control"
+    if ends == "left":
+        one.control_ended()
+    else:
+        one.end("STOP")
+    await one.ended()
+    why = "control ended" if ends == "left" else "STOP"
+    assert f"may be flying on, its stop was not answered: {why}" in str(over.exception())
+    assert journal.notes[-1] == ("error", f"the stop of the {WHAT} was not answered")
+    assert one.is_flying is (not ends)
+    await asyncio.sleep(3.0)
+    assert flight.stops == (0 if ends else 3)
+    assert not one.is_flying
+    assert (journal.notes[-1] == ("warning", f"the {WHAT} was stopped")) is (not ends)
 
 
 # -- a flight ends while the line is bad: nothing flies on ----------------------------------------
