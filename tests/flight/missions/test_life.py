@@ -8,7 +8,7 @@ from typing import Any, cast
 
 import pytest
 
-from m100link.errors import M100Error, MissionAborted
+from m100link.errors import M100Error, MissionAborted, UsageError
 from m100link.flight.mission_state import MissionKind, MissionWatch
 from m100link.flight.missions.context import Over
 from m100link.flight.missions.events import (
@@ -94,7 +94,8 @@ def mission(state: RunState, *, ends_by_landing: bool = False) -> MissionSession
         loop=SimpleNamespace(time=lambda: 100.0), latency=SimpleNamespace(slack_s=0.0)
     )
     commander = SimpleNamespace(missions=MissionWatch(lambda: 100.0), link=link)
-    context = SimpleNamespace(commander=commander)
+    block = SimpleNamespace(require_flying=lambda what: None)
+    context = SimpleNamespace(commander=commander, block=block)
     track = SimpleNamespace(ends_by_landing=ends_by_landing, take=lambda push: [push], poll=None)
     found = MissionSession(cast(Any, context), MissionKind.WAYPOINT, cast(Any, track))
     found.state = state
@@ -151,3 +152,16 @@ async def test_a_source_of_targets_that_ended_stops_what_owes_a_stop(state: RunS
     quiet.stop = stop  # type: ignore[method-assign]
     await quiet.end_by_program(None)
     assert getattr(quiet.events.failure, "seen", None) == ("not answered" if owes else None)
+
+
+@pytest.mark.parametrize("state", S, ids=lambda s: s.name)
+def test_it_is_let_go_where_it_flies_and_nothing_is_under_way(state: RunState) -> None:
+    one = mission(state)
+    if I.DETACH in EXPECTED[state]:
+        one.detach()
+        assert (one.state, one.events.is_over, one.events.failure) == (S.DETACHED, True, None)
+        return
+    why = "cannot be detached" if state in IN_THE_AIR else "to be detached was asked for, but"
+    with pytest.raises(UsageError, match=why):
+        one.detach()
+    assert (one.state, one.events.is_over) == (state, False)

@@ -6,6 +6,7 @@ import asyncio
 import struct
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
+from functools import partial
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -379,7 +380,7 @@ class Beside:
     """A guard with a mission of its own, or none, and pushes of somebody's hotpoint, or none."""
 
     def __init__(self, state: RunState | None, *, is_pushed: bool) -> None:
-        self.now, self.sent = 100.2, list[Any]()
+        self.now, self.sent, self.answer = 100.2, list[Any](), MissionCode.SUCCESS
         self.ours = None if state is None else Ours(state)
         self.watch = MissionWatch(lambda: self.now)
         if is_pushed:
@@ -397,7 +398,7 @@ class Beside:
 
     async def execute(self, request: Any, **_: object) -> MissionCode:
         self.sent.append(request)
-        return MissionCode.SUCCESS
+        return self.answer
 
 
 @pytest.mark.parametrize("is_pushed", [True, False], ids=["pushed", "silent"])
@@ -476,3 +477,28 @@ async def test_what_was_detached_is_left_in_flight_until_pushes_tell_its_end() -
         beside.push(IdleStatus(), at)
         beside.now = at + 0.1
         assert beside.guard.is_detached is is_detached
+
+
+C = MissionCode
+DONE = {
+    "pause": {C.SUCCESS, C.ALREADY_SO, C.ALREADY_PAUSED},
+    "resumption": {C.SUCCESS, C.ALREADY_SO, C.NOT_PAUSED},
+    # The others of these say that there is nothing to stop.
+    "stop": {C.SUCCESS, C.NOT_RUNNING, C.NOT_INITIALISED, C.NO_MISSION, C.NO_POINTS, C.NOT_STARTED},
+}
+
+
+@pytest.mark.parametrize("what", DONE)
+async def test_each_answer_to_an_order_is_a_yes_or_a_refusal(what: str) -> None:
+    for code in MissionCode:
+        beside = Beside(None, is_pushed=True)
+        beside.answer = code
+        act = beside.guard.stop_any if what == "stop" else partial(beside.guard.order_any, what)
+        if code in DONE[what]:
+            was_stopped = what != "stop" or code is C.SUCCESS
+            expected = MissionKind.HOTPOINT if was_stopped else MissionKind.NONE
+            assert await act() is expected, code
+            continue
+        with pytest.raises(MissionRefused, match=f"the {what} of the hotpoint") as caught:
+            await act()
+        assert caught.value.code == code
