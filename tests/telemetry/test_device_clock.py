@@ -274,6 +274,20 @@ def test_a_step_back_that_a_gap_hides_is_noticed() -> None:
     assert clock.uncertainty_s <= 3 / TICK_HZ
 
 
+@pytest.mark.parametrize(("seconds", "resets"), [(1, 0), (4, 0), (8, 1)])
+def test_packages_that_are_late_for_five_seconds_show_a_step_and_before_that_none(
+    seconds: int, resets: int
+) -> None:
+    """By 40 ms, which nothing that waits in the line explains."""
+    clock = DeviceClock(TICK_HZ)
+    run(clock, seconds=20)
+    for index in range(seconds * 50):
+        device = 20.0 + index / 50
+        clock.update(round(device * TICK_HZ), 1000.04 + device)
+    assert clock.resets == resets
+    assert clock.offset_s == pytest.approx(1000.04 if resets else 1000.0, abs=2 / TICK_HZ)
+
+
 def test_packages_of_one_read_are_one_instant() -> None:
     """What waited in one read says as much about delay as its last package."""
     one, many = DeviceClock(TICK_HZ), DeviceClock(TICK_HZ)
