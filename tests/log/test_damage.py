@@ -218,6 +218,8 @@ def test_places_that_touch_are_one(
         # A message that is late makes the clock of a hole go back no further.
         ([(1, 0, 5.0), (2, 0, 4.0), (9, 12), (1, 2, 6.0)], {"/a": 1}, ((5.0, 6.0),)),
         ([(1, 0, 5.0), (1, 0, 6.0), (1, 1, 7.0)], {}, ()),
+        # Bytes behind the last message may have held none.
+        ([(1, 0, 5.0), (1, 1, 6.0), (9, 12)], {}, ()),
     ],
 )
 def test_numbers_show_how_many_are_missing_and_where(
