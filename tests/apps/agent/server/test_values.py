@@ -29,7 +29,7 @@ from m100link.apps.agent.server.authority import (
 from m100link.apps.agent.server.connection import ConnectionState
 from m100link.apps.agent.server.flight import ActiveFlight, GuidedFlightManager, pattern
 from m100link.apps.agent.server.replays import Replays
-from m100link.apps.agent.server.server import AgentServer
+from m100link.apps.agent.server.server import AgentLog, AgentServer
 from m100link.apps.agent.transports import memory_channels
 from m100link.errors import LossReason, NotObserved, UsageError
 from m100link.flight.authority import AuthorityState
@@ -483,6 +483,71 @@ async def test_what_a_change_of_the_lease_ends_and_says(
     fed = HoldingInput.TAKEN_OVER if begins else HoldingInput.LET_GO
     assert [one.args[0] for one in holding.feed.mock_calls] == [fed]
     assert [(one.text, one.level) for one in agent.journal.events] == [(text, level)]
+
+
+async def test_what_an_agent_notes_in_the_log_of_a_flight() -> None:
+    """Places in degrees, north before east, and metres; times in seconds."""
+    agent: Any = MagicMock(now=7.0, plan=messages.PlanChanged(), on_lease=[], on_plan=[])
+    agent.holding = SimpleNamespace(on_change=[], cause=HoldingInput.LET_GO, limits="limits")
+    agent.holding.flying = MagicMock(seen_task="take off", pattern=None, is_steered=True)
+    agent.holding.flying.guiding.order = THERE
+    agent.connection = SimpleNamespace(on_aircraft=[], aircraft=None)
+    agent.journal.events = [messages.Event(4, 10.5, "warning", "wind")]
+    agent.leases.holder.return_value = Lease("anna", "token", 3)
+    front: Any = MagicMock(take_notes=lambda: [])
+    front.name = "console"
+    log = AgentLog(agent, {front})
+    log.note("early", number=1)
+    agent.now, aircraft = 10.0, MagicMock(mission=MissionState(MissionKind.WAYPOINT, 2))
+    agent.connection.aircraft = aircraft
+    agent.connection.on_aircraft[0](aircraft)
+    take = aircraft.note_from.call_args.args[0]
+    agent.now = 11.0
+    agent.on_plan[0](messages.PlanChanged("field", UPLOAD))
+    agent.on_lease[0](LeaseChange.EXPIRED, None, Flown.PROGRAM)
+    for holder, at in ((None, 12.0), (Lease("anna", "token", 3), 13.0)):
+        agent.leases.holder.return_value, agent.now = holder, at
+        agent.holding.on_change[0](HoldingState.HELD, HoldingState.RELEASING)
+    changed = {"event": "control", "before": HoldingState.HELD, "after": HoldingState.RELEASING}
+    assert take() == [
+        {"event": "early", "number": 1, "earlier_s": 3.0, "at": 10.0},
+        {"event": "clients", "names": ["console"], "at": 10.0},
+        {"event": "lease", "why": "in force", "number": 3, "holder": "anna", "at": 10.0},
+        {"event": "plan", "name": "", "waypoints": [], "at": 10.0},
+        {"event": "journal", "level": "warning", "text": "wind", "topic": ANY, "at": 10.5},
+        {
+            "event": "plan",
+            "name": "field",
+            "waypoints": [(52.0, 4.3, 10.0), (52.001, 4.3, 10.0)],
+            "at": 11.0,
+        },
+        {
+            "event": "lease",
+            "why": LeaseChange.EXPIRED,
+            "number": 0,
+            "holder": "",
+            "flown": Flown.PROGRAM,
+            "at": 11.0,
+        },
+        {**changed, "why": "the lease has ended", "at": 12.0},
+        {**changed, "why": "its client gives it back", "at": 13.0},
+        {
+            "event": "state",
+            "task": "take off",
+            "pattern": "",
+            "guided": THERE.label,
+            "steered": True,
+            "mission": "",  # one is pushed, but not of late
+            "waypoint": 2,
+            "limits": "limits",
+            "at": 13.0,
+        },
+    ]
+    assert take() == [], "nothing has changed since"
+    agent.holding.flying.seen_task, agent.now = None, 14.0
+    aircraft.mission = MissionState(MissionKind.WAYPOINT, 2, is_running=True)
+    news = {"task": "", "mission": MissionKind.WAYPOINT.value}
+    assert take() == [{"event": "state", **news, "at": 14.0}]
 
 
 # -- messages to fronts ----------------------------------------------------------------------------
