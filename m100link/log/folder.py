@@ -258,7 +258,6 @@ class LogDirectory:
 
     @contextmanager
     def _opened(self, log: str) -> Iterator[FileIO]:
-        """A log; UsageError where there is none of that name."""
         if self._folder is None or not is_log_name(log):
             raise _no_log(log, "nothing is recorded")
         # Neither through a link, nor into what would wait for another program, such as a pipe.

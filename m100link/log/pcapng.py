@@ -298,8 +298,6 @@ def dissector() -> str:
 
 
 class _Tables:
-    """The tables that the Lua part reads."""
-
     def __init__(self) -> None:
         self._kinds: dict[str, str] = {}
         self._words: dict[str, dict[int, str]] = {}

@@ -361,7 +361,6 @@ def _colour(name: str) -> str:
 
 
 def _draw_strip(story: FlightSummary, axes: Any) -> None:
-    """Phases, control, setpoints and alarms as bars."""
     rows = (
         ("phase", story.phases),
         ("control", story.control),

@@ -144,7 +144,6 @@ class _TelemetryReader:
                 self._look(at)
 
     def end(self) -> list[Sentence]:
-        """All sentences, in no order."""
         self._tell(until=math.inf)
         if self._motion is not None:
             self._say(self._motion[1], "motion", "It was moving when telemetry ended.")

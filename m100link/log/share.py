@@ -96,7 +96,6 @@ class _Moved:
         self._target = LocalFrame(*_TARGETS[0])
 
     def place(self, latitude_deg: float, longitude_deg: float) -> tuple[float, float]:
-        """Degrees of the moved place."""
         if self._frame is None:
             self._frame = LocalFrame(latitude_deg, longitude_deg)
             is_near = abs(latitude_deg) < 30.0 and -60.0 < longitude_deg < 0.0
@@ -167,7 +166,6 @@ class _Cleaner:
         return kept | {"is_ack": bool(content.get("is_ack"))} | self._kept(content)
 
     def counters(self, content: dict[str, Any]) -> dict[str, Any]:
-        """Counters and the firmware."""
         found = {name: content[name] for name in _COUNTERS if _is_counted(content.get(name))}
         firmware = content["firmware"] if content["firmware"] in tuple(PROFILES) else ""
         return found | {"firmware": firmware, "acceleration": AccelerationMode.FUSED.value}

@@ -167,7 +167,6 @@ class Ended(asyncio.Event):
         when_signalled(self.end, "SIGINT", "SIGTERM", "SIGHUP")
 
     def end(self) -> None:
-        """Set it, as a signal does."""
         self.set()
         beginning, self._beginning = self._beginning, None
         if beginning is not None:  # once: a second signal would cut short how it ends
@@ -175,7 +174,6 @@ class Ended(asyncio.Event):
             self._tell()
 
     async def wait(self) -> Literal[True]:
-        """Wait until it is set."""
         self._beginning = None
         return await super().wait()
 

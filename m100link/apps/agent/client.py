@@ -572,8 +572,6 @@ class AgentClient:
 
 
 class PendingRequests:
-    """The questions without an answer yet, by number."""
-
     def __init__(self, send: Callable[[messages.Message], None]) -> None:
         self._send = send
         self._create_future = asyncio.get_running_loop().create_future

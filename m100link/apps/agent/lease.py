@@ -261,7 +261,6 @@ class LeaseManager:
 
 
 def _clean(name: str) -> str:
-    """A name fit for a banner and a log line."""
     printable = "".join(letter for letter in name if letter.isprintable()).strip()
     return printable[:MAX_NAME] or "unnamed"
 

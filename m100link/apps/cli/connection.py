@@ -337,7 +337,6 @@ def exit_status(found: Report) -> int:
 
 
 def _only_port(link: LinkOptions) -> str | None:
-    """The only port of this machine, unless a URL is given."""
     if link.url is not None or os.environ.get("M100LINK_URL"):
         return None
     found = serial_ports()

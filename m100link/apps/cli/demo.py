@@ -54,8 +54,6 @@ _PICTURE = 32
 
 @dataclass
 class _Flight:
-    """The course of the flight, for the display and the summary."""
-
     stages: dict[str, float] = field(default_factory=dict)
     stage: str = ""
     note: str = ""

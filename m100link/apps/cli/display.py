@@ -172,8 +172,6 @@ def reading(file: Path) -> Iterator[FlightLog]:
 
 
 class _Watched(FlightLog):
-    """A log that shows how far its file is read, each time that it is read."""
-
     def __init__(self, path: Path, bar: Progress) -> None:
         super().__init__(path)
         self._bar, self._task = bar, bar.add_task("")

@@ -106,8 +106,6 @@ def _ask(what: str, question: str) -> None:
 
 
 class _Show:
-    """The display of a mission, and its outcome."""
-
     def __init__(self, name: str, plan: WaypointPlan) -> None:
         self._name, self._plan = name, plan
         self._reached: set[int] = set()

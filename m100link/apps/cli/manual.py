@@ -213,7 +213,6 @@ def _derived(base: type[M100Error]) -> Iterator[type[M100Error]]:
 
 
 def _show_error(code: str) -> int:
-    """Print the manual's text on one class of errors."""
     kinds = {kind.error_code: kind for kind in error_classes()}
     kind = kinds.get(code.upper())
     if kind is None:

@@ -300,7 +300,6 @@ async def stop(url: Url = None, /, *, options: AircraftOptions = AS_SET) -> None
 async def _going_on(
     flight: _InControl, act: Callable[[Control], Awaitable[MissionKind]], done: str
 ) -> None:
-    """Act on a mission that goes on without this program."""
     async with flight as (_, control):
         kind = await act(control)
         control.detach_mission()  # giving authority back would break it off

@@ -157,8 +157,6 @@ class AssistantOptions(
 
 @dataclass(frozen=True)
 class _Plan:
-    """The aircraft and options of one run of the command."""
-
     aircraft: list[VirtualAircraft]
     link: Path | None
     tcp: tuple[str, int] | None

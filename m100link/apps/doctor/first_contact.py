@@ -244,8 +244,6 @@ async def first_contact(
 
 
 class _Meeting:
-    """One connection on which everything is tried."""
-
     def __init__(
         self,
         aircraft: Aircraft,
@@ -600,7 +598,6 @@ def _steepest(path: list[_Point]) -> tuple[float, float]:
 
 
 def _lost(did: bool, before: RemoteControl | None, late: list[RemoteControl]) -> tuple[str, str]:
-    """The end of the channels, and the figures."""
     if not did:
         return "", "nobody switched it off"
     if before is None:

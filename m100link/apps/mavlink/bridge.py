@@ -115,8 +115,6 @@ class Peers:
 
 
 class _Craft:
-    """An aircraft: what translates, and what asks the agent."""
-
     def __init__(self, agent: AgentClient, system: int, autopilot: int, logs: Path | None) -> None:
         session = ControlSession(agent, "MAVLink")
         self.vehicle = MavlinkVehicle(agent, session, system, autopilot, logs)

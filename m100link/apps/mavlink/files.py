@@ -78,8 +78,6 @@ class _Session:
 
 @dataclass(slots=True)
 class _Transfer:
-    """Bytes of a log that are on their way."""
-
     number: int  # of the log, in the list of its peer
     at: int
     end: int

@@ -65,8 +65,6 @@ class _Allocator(ctypes.Structure):
 
 
 class _Bytes(ctypes.Structure):
-    """rcutils_uint8_array_t."""
-
     _fields_ = (
         ("buffer", ctypes.c_void_p),
         ("length", ctypes.c_size_t),

@@ -226,7 +226,6 @@ class GraphDiscovery:
                 self._seen.setdefault(change.key, seen)
 
     def clients(self, service: str) -> Mapping[str, Seen]:
-        """Those who can call a service, by their tokens."""
         self.look()
         return {
             key: one

@@ -236,7 +236,6 @@ class Node:
         await self.control.obtain()
 
     async def _end(self, order: orders.Order) -> None:
-        """A way to the ground ends what flies."""
         self.control.session.held()
         self.actions.end(f"{order.label} was requested")
         await self.control.fly(order)

@@ -264,7 +264,6 @@ class Ships:
             channel.watch(full=name in shown)
 
     async def let_go(self) -> None:
-        """Give back whatever was granted here."""
         await asyncio.gather(*(one.let_go() for one in self._channels.values()))
 
 

@@ -54,8 +54,6 @@ Reach = Callable[[], "Awaitable[Channel]"]  # opens a channel to an agent
 
 @dataclass(frozen=True, slots=True)
 class FrontSpec:
-    """A front: where it listens, and what serves it."""
-
     name: str  # of its sockets
     module: str  # loaded in the process that serves it
     ports: Callable[[Settings], Sequence[int] | None]  # its TCP ports; None: it is not served

@@ -44,8 +44,6 @@ class ConnectionState(Enum):
 
 
 class AircraftConnection:
-    """Keeps an aircraft connected, whichever it is."""
-
     def __init__(self, connect: Connect, journal: Journal) -> None:
         self._connect = connect
         self._journal = journal

@@ -222,7 +222,6 @@ class ActiveFlight:
             self._journal.note(outcome, level)
 
     async def switch_motors(self, *, on: bool) -> None:
-        """Start or stop the motors on the ground; ends a program."""
         if on:
             self._make_room("arm")
         else:  # whatever flies as far as is known here: somebody may stand beside the blades
@@ -481,7 +480,6 @@ class GuidedFlightManager:
             flight.work.cancel()
 
     async def ended(self) -> None:
-        """Wait until nothing of it is sent any more."""
         if self._works:
             await asyncio.wait(self._works)
 

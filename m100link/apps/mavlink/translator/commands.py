@@ -50,8 +50,6 @@ _ORBIT_TURNS = 200.0
 
 
 class CommandProtocol:
-    """Carries commands out, or says why not."""
-
     def __init__(
         self,
         world: VehicleState,

@@ -28,8 +28,6 @@ class VehicleOrder:
 
 @dataclass(frozen=True, slots=True)
 class ObtainControl(VehicleOrder):
-    """Take the lease and obtain control authority."""
-
     name: str  # for whom, for people
 
 
@@ -40,8 +38,6 @@ class ReleaseControl(VehicleOrder):
 
 @dataclass(frozen=True, slots=True)
 class TakeOffAndClimb(VehicleOrder):
-    """Let the autopilot take off, then climb."""
-
     running: ClassVar[FlightSource] = FlightSource.TAKE_OFF
 
     # To climb to, m above the take-off point; None stays where the autopilot ends.
@@ -68,8 +64,6 @@ class LandInPlace(VehicleOrder):
 
 @dataclass(frozen=True, slots=True)
 class ReturnToLaunch(VehicleOrder):
-    """Let the autopilot fly home and land."""
-
     running: ClassVar[FlightSource] = FlightSource.GO_HOME
 
     is_interrupting: bool = False  # as in LandInPlace
@@ -84,8 +78,6 @@ class HoldPosition(VehicleOrder):
 
 @dataclass(frozen=True, slots=True)
 class FlightSequence(VehicleOrder):
-    """Flights of the agent, one after the other."""
-
     running: ClassVar[FlightSource] = FlightSource.FLIGHT
 
     legs: tuple[GuidedOrder, ...]  # each an order of the agent

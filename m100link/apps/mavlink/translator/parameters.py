@@ -191,7 +191,6 @@ class ParameterProtocol:
     def _refusal(
         self, name: str, value: float, *, is_others: bool
     ) -> tuple[ParamError | None, str]:
-        """Why a value is not taken; None where it is."""
         one = PARAMETERS[name]
         if one.is_settable:
             if not one.least <= value <= one.most:  # which no NaN is

@@ -84,8 +84,6 @@ Done = Callable[[MavResult], None]
 
 
 class Payload:
-    """Carries out orders to camera and gimbal, or says why not."""
-
     def __init__(
         self,
         world: VehicleState,

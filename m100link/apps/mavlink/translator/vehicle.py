@@ -142,7 +142,6 @@ class MavlinkVehicle:
         self._handlers = self._by_name()
 
     def _by_name(self) -> dict[str, Callable[[MavlinkMessage, Peer, float], None]]:
-        """The handler of each message, by its name."""
         return {
             **dict.fromkeys(_COMMANDS, self._command),
             "SET_MODE": self._set_mode,

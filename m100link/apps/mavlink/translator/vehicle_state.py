@@ -27,8 +27,6 @@ from m100link.protocol.records import Attitude, Battery, Position, RcMode
 
 
 class Mode(Enum):
-    """The mode of the aircraft, as ground stations see it."""
-
     HOLD = "Hold"
     TAKEOFF = "Takeoff"
     MISSION = "Mission"

@@ -241,8 +241,6 @@ class Recorded:
 
 @dataclass
 class _Rows:
-    """Collects the rows while the file is read."""
-
     firmware: str
     interval: float = INTERVAL_S
     times: array[float] = field(default_factory=lambda: array("d"))

@@ -64,8 +64,6 @@ _COMPLAINT_PAUSE = 1.0
 
 
 class Tab:
-    """The rights and the state of one tab."""
-
     def __init__(
         self,
         agent: AgentClient,

@@ -348,7 +348,6 @@ class Client:
             self._answer(json.dumps(message))
 
     def respond(self, call: ServiceCall, values: str, result: bool) -> None:
-        """Answer a service call; ``values`` is JSON."""
         self._calls -= not call.ends
         name, identity, packing = call.identity
         self._respond(name, identity, packing, values, result)

@@ -42,8 +42,6 @@ _YAW_RATE = 0x08  # in the control flag
 
 
 class DjiSdk:
-    """Topics and services under ``/dji_sdk``."""
-
     def __init__(self, agent: AgentClient, graph: Graph, clients: Clients) -> None:
         self._agent, self._graph, self._clients = agent, graph, clients
         self._origin: tuple[LocalFrame, float] | None = None

@@ -142,8 +142,6 @@ class RosTopic:
 
 @dataclass(slots=True, eq=False)
 class ServiceCall:
-    """A service call of a client, to be answered once."""
-
     session: GraphListener
     service: RosService
     request: Message  # the checked request
@@ -264,7 +262,6 @@ class _Failed(Exception):
 
 
 def add_rosapi(graph: Graph) -> None:
-    """Offer the services of rosapi about everything in the graph."""
     api, of_service = _RosApi(graph), partial(_details, "service", SERVICES)
     for name, kind, answer in (
         ("topics", "Topics", api.topics),

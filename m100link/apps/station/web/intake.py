@@ -70,9 +70,7 @@ class HttpTransport(Protocol):
         ...
 
     @property
-    def steers(self) -> bool:
-        """Whether it holds control of an aircraft."""
-        ...
+    def steers(self) -> bool: ...
 
 
 class Intake:
@@ -341,8 +339,6 @@ class SocketListener:
 
 
 class _Newcomer:
-    """A connection that has not been read yet."""
-
     steers, is_answered = False, True
 
     def __init__(self, listener: SocketListener, accepted: socket.socket, peer: str) -> None:

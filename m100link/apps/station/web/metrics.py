@@ -83,8 +83,6 @@ _Family = tuple[type[Any], str, str, list[str], list[tuple[Any, ...]]]
 
 
 class StationMetrics(Collector):
-    """The counters of a station, taken when somebody scrapes."""
-
     def __init__(
         self, bridge: RosbridgeServer, dropped_by_tabs: Callable[[], Mapping[str, int]] = dict
     ) -> None:

@@ -106,7 +106,6 @@ class _Frames(ServerProtocol):
         super().recv_frame(frame)
 
     def send_response(self, response: Response) -> None:
-        """Accepted, refused or failed: each goes out here."""
         super().send_response(_with_headers(response))
 
 
@@ -256,7 +255,6 @@ class HttpConnection(H11Protocol):
 
     @property
     def is_answered(self) -> bool:
-        """Whether it asked nothing that is being answered now."""
         cycle = self.cycle
         return cycle is None or cycle.response_complete or cycle.more_body
 

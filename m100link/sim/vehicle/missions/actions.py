@@ -124,7 +124,6 @@ class ActionRunner:
 
     @property
     def has_actions(self) -> bool:
-        """Whether there is anything left to do."""
         return not self._is_done
 
 
@@ -167,7 +166,6 @@ class Conditions:
         return MissionCode.AUTHORITY_NEEDED
 
     def to_start(self) -> MissionCode:
-        """Whether any mission may start."""
         return self.control() or self._readiness()
 
     def _readiness(self) -> MissionCode:
@@ -192,12 +190,10 @@ class Conditions:
         return next((code for is_wrong, code in checks if is_wrong), _OK)
 
     def in_the_air(self) -> MissionCode:
-        """Whether a mission may start that does not take off."""
         on_ground = self.flight.dynamics.on_ground
         return self.to_start() or (MissionCode.NOT_IN_THE_AIR if on_ground else _OK)
 
     def waypoints(self, plan: StoredPlan) -> MissionCode:
-        """Whether a waypoint mission may start."""
         missions, site, flight = self.settings.missions, self.site, self.flight
         code = self.to_start()
         if code:
@@ -231,7 +227,6 @@ class Conditions:
 
     @property
     def here(self) -> LocalPlace:
-        """Where the aircraft is."""
         motion = self.flight.dynamics
         return LocalPlace(motion.north, motion.east, motion.height)
 

@@ -85,7 +85,6 @@ class MissionComputer:
         self.power_off()
 
     def power_off(self) -> None:
-        """Forget everything, as at power-on."""
         self.running: Flown | None = None
         self.is_paused = False
         self.is_active = self._missions.status_when_idle
@@ -105,7 +104,6 @@ class MissionComputer:
 
     @property
     def stage(self) -> MissionPhase:
-        """How far a waypoint mission is."""
         if isinstance(self.running, WaypointExecution):
             return MissionPhase.PAUSED if self.is_paused else MissionPhase.FLYING
         if self.upload.plan is not None:
@@ -157,7 +155,6 @@ class MissionComputer:
     # --- hotpoint and follow ----------------------------------------------------------------
 
     def start_hotpoint(self, command: HotpointStart) -> MissionCode:
-        """Circle a point."""
         here = self._conditions.here
         code = (
             self.refusal(HotpointExecution, MissionOrder.START)
@@ -180,7 +177,6 @@ class MissionComputer:
         return max(0.0, min(LARGEST_RADIUS, left))
 
     def start_follow(self, command: FollowStart) -> MissionCode:
-        """Follow a target."""
         here, home = self._conditions.here, self._conditions.home
         code = (
             self.refusal(FollowExecution, MissionOrder.START)
@@ -216,7 +212,6 @@ class MissionComputer:
         return code
 
     def pause(self, kind: type[Flown]) -> MissionCode:
-        """Hover where it is until the mission is resumed."""
         code = self.refusal(kind, MissionOrder.PAUSE)
         if not code:
             self.is_paused = True
@@ -229,7 +224,6 @@ class MissionComputer:
         self._hover = DynamicsInput(vertical=ModelVertical.HEIGHT, up=height)
 
     def resume(self, kind: type[Flown]) -> MissionCode:
-        """Go on."""
         code = self.refusal(kind, MissionOrder.RESUME)
         running = self.running
         if code or running is None:
@@ -245,7 +239,6 @@ class MissionComputer:
 
     @property
     def name(self) -> str:
-        """The mission under way in a word."""
         return "no" if self.running is None else _NAMES[self.running.KIND]
 
     def summary(self) -> dict[str, Any] | None:
@@ -419,7 +412,6 @@ class MissionComputer:
         return pending
 
     def status(self) -> MissionStatus:
-        """The present content of the status push."""
         running = self.running
         return MissionStatus(self.last if running is None else running.status(self.is_paused))
 

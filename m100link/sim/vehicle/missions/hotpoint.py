@@ -42,8 +42,6 @@ _LEAD_S = 0.2
 
 
 class CircleYaw:
-    """Where the nose points on a circle."""
-
     ALONG, CENTRE, OUTWARDS, BY_RC, AS_AT_START = range(5)
 
 
@@ -135,7 +133,6 @@ class HotpointExecution:
     # --- what others see and do -------------------------------------------------------------
 
     def status(self, is_paused: bool) -> HotpointStatus:
-        """The content of the push."""
         state = 2 if is_paused else self._phase.value[1]
         motion, rate = self._motion, 0.0
         if self._phase is _Phase.CIRCLE and not is_paused and self.distance > 0.1:
@@ -151,7 +148,6 @@ class HotpointExecution:
 
     @property
     def doing(self) -> str:
-        """The present activity, in words."""
         return self._phase.value[0]
 
     @property
@@ -186,13 +182,11 @@ class HotpointExecution:
     # --- each step --------------------------------------------------------------------------
 
     def resume(self) -> None:
-        """Go on after a pause."""
         if self._phase is _Phase.APPROACH:
             self._approach_from_here()
         self._flown_radius = self.distance if self._phase is _Phase.CIRCLE else self._flown_radius
 
     def guide(self, sticks: Sticks) -> DynamicsInput:
-        """The guidance for the next step."""
         if self._phase is _Phase.CLIMB:
             if self._motion.height < self._height - 0.3:
                 above = self._from._replace(up=self._height)
@@ -352,12 +346,10 @@ class FollowExecution:
         self._heed_altitude(command.altitude)
 
     def status(self, is_paused: bool) -> FollowStatus:
-        """The content of the push."""
         return FollowStatus()
 
     @property
     def doing(self) -> str:
-        """The present activity, in words."""
         is_silent = self.silence > self._settings.follow_silence
         return "hovers: the target is silent" if is_silent else "follows"
 
@@ -394,7 +386,6 @@ class FollowExecution:
         """Go on after a pause with the distance that was kept before."""
 
     def guide(self, sticks: Sticks) -> DynamicsInput:
-        """The guidance for the next step."""
         self.silence += STEP_S
         motion, target = self._motion, self._target
         yaw_mode, yaw = ModelYaw.RATE, sticks.yaw * math.radians(self._airframe.yaw_rate_deg)

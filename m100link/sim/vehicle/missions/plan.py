@@ -28,8 +28,6 @@ STOP_S = 4.0
 
 
 class ActionKind:
-    """The actions that the aircraft knows at a waypoint."""
-
     STAY, PHOTO, START_VIDEO, STOP_VIDEO, YAW, GIMBAL_PITCH = range(6)
 
 
@@ -40,8 +38,6 @@ class FinishAction:
 
 
 class YawMode:
-    """Where the nose points."""
-
     ALONG, AS_AT_START, BY_RC, BY_POINT = range(4)
 
 
@@ -100,8 +96,6 @@ def _action_code(point: WaypointPoint) -> MissionCode:
 
 @dataclass(frozen=True, slots=True)
 class StoredPlan:
-    """A mission with all its points."""
-
     mission: WaypointMission  # as 0x03/0x10 had it
     points: tuple[WaypointPoint, ...]  # as 0x03/0x11 had them, by index
     places: tuple[
@@ -114,7 +108,6 @@ class StoredPlan:
         return self.mission.trace_mode == 1
 
     def legs(self) -> list[RouteLeg]:
-        """The line to fly."""
         dampings = [point.damping for point in self.points] if self.is_curved else None
         return legs_between(list(self.places), dampings)
 
@@ -187,7 +180,6 @@ class WaypointUpload:
         self.forget()
 
     def forget(self) -> None:
-        """Nothing is there any more."""
         self.mission: WaypointMission | None = None
         self.points: dict[int, WaypointPoint] = {}
         self.plan: StoredPlan | None = None

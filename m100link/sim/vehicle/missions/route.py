@@ -127,7 +127,6 @@ class LocalPlace(NamedTuple):
     up: float
 
     def plus(self, other: LocalPlace, times: float = 1.0) -> LocalPlace:
-        """This one and a multiple of another."""
         return LocalPlace(
             self.north + times * other.north,
             self.east + times * other.east,
@@ -135,11 +134,9 @@ class LocalPlace(NamedTuple):
         )
 
     def dot(self, other: LocalPlace) -> float:
-        """The scalar product."""
         return self.north * other.north + self.east * other.east + self.up * other.up
 
     def scaled(self, factor: float) -> LocalPlace:
-        """A multiple of it."""
         return LocalPlace(factor * self.north, factor * self.east, factor * self.up)
 
 
@@ -157,8 +154,6 @@ def _direction(start: LocalPlace, end: LocalPlace) -> LocalPlace:
 
 
 class OnLeg(NamedTuple):
-    """One place of a leg."""
-
     place: LocalPlace
     tangent: LocalPlace  # unit vector along the leg
     bend: LocalPlace  # curvature as a vector towards the centre, 1/m; zero on straight parts
@@ -218,7 +213,6 @@ class RouteLeg:
 
     @classmethod
     def straight(cls, start: LocalPlace, end: LocalPlace, first: int, last: int) -> RouteLeg:
-        """A line between two places."""
         length = distance(start, end)
         return cls([_Line(start, _direction(start, end), length)], [(0.0, first), (length, last)])
 
@@ -443,7 +437,6 @@ class MissionSteering:
 
     @property
     def here(self) -> LocalPlace:
-        """Where the aircraft is."""
         motion = self._motion
         return LocalPlace(motion.north, motion.east, motion.height)
 
@@ -454,7 +447,6 @@ class MissionSteering:
         return is_still and math.dist(self.here, place) < within
 
     def hold(self, place: LocalPlace, yaw_mode: ModelYaw, yaw: float) -> DynamicsInput:
-        """Stay at a place, or go there straight."""
         return DynamicsInput(
             ModelHorizontal.POSITION,
             place.north,

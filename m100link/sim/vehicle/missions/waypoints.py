@@ -118,28 +118,23 @@ class WaypointExecution:
     # --- what others see --------------------------------------------------------------------
 
     def status(self, is_paused: bool) -> WaypointStatus:
-        """The content of the push."""
         return WaypointStatus(index=self.index, status=self.phase.status, error=0)
 
     @property
     def doing(self) -> str:
-        """The present activity, in words."""
         return self.phase.value[0]
 
     @property
     def is_over(self) -> bool:
-        """Whether it has come to its end."""
         return self.phase is WaypointPhase.OVER
 
     @property
     def flies_without_rc(self) -> bool:
-        """Whether it goes on when the remote control is lost."""
         return self.plan.mission.rc_lost_action == 1
 
     # --- each step --------------------------------------------------------------------------
 
     def guide(self, sticks: Sticks) -> DynamicsInput:
-        """The guidance for the next step."""
         return self._steps[self.phase](sticks)
 
     def resume(self) -> None:

@@ -49,8 +49,6 @@ _CHANNELS = ("roll", "pitch", "yaw", "throttle")
 
 
 class TelemetryPart:
-    """The values that the Fly view has no room for."""
-
     def __init__(self, page: PageContext) -> None:
         self._wording = wording = page.wording
         with wording.card("instruments.title"):
@@ -102,8 +100,6 @@ _RATE_COLUMNS = ("item", "rate", "jitter", "longest_gap")
 
 
 class LinkPart:
-    """How the ways to the aircraft and to the browser do."""
-
     def __init__(self, page: PageContext) -> None:
         self._wording = wording = page.wording
         self._tables: dict[str, tuple[Any, tuple[Any, ...]]] = {}

@@ -146,8 +146,6 @@ class StatusPart:
 
 
 class TakeOverDialog:
-    """Obtains control, and asks when somebody has it."""
-
     def __init__(self, tab: Tab, wording: Wording) -> None:
         self._tab, self._wording = tab, wording
         # The order runs in the background, where no element can be made.

@@ -34,7 +34,6 @@ _NAMED = ("language", "theme")  # the others are signs of units
 
 
 async def load_settings(page: PageContext) -> None:
-    """Take over what the browser kept, and where its clock stands."""
     try:
         kept, ahead = await ui.run_javascript(
             f"[localStorage.getItem({json.dumps(_KEY)}), -new Date().getTimezoneOffset()]",

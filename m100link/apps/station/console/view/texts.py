@@ -38,16 +38,12 @@ class LengthUnit(Enum):
 
 
 class SpeedUnit(Enum):
-    """The units of speeds on the page, climb included."""
-
     M_S = "m/s"
     KM_H = "km/h"
     KNOT = "kn"
 
 
 class QuantityKind(Enum):
-    """The kinds of quantity; the value is the SI unit."""
-
     LENGTH = "m"
     SPEED = "m/s"
 
