@@ -58,7 +58,7 @@ def test_the_package_alone_loads_nothing_of_itself() -> None:
         ("import m100link.wire", {"errors", "wire"}, set()),
         (
             "import m100link.protocol",
-            {"errors", "wire", "session", "protocol"},
+            {"errors", "wire", "protocol"},
             {"dataclasses", "inspect"},
         ),
         (

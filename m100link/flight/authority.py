@@ -151,15 +151,8 @@ class Authority:
     """
 
     __slots__ = (
-        "_clock",
-        "_held_since",
-        "_known",
-        "_listeners",
-        "_waiters",
-        "_was_in_f",
-        "_was_ours",
-        "reason",
-        "state",
+        *("_clock", "_held_since", "_known", "_listeners", "_waiters", "_was_in_f", "_was_ours"),
+        *("reason", "state"),
     )
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:

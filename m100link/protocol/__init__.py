@@ -4,39 +4,20 @@ from typing import TYPE_CHECKING
 
 from m100link.protocol import codes, records
 from m100link.protocol.codes import *  # noqa: F403 (all of its __all__, nothing else)
-from m100link.protocol.command import (
-    Address,
-    Command,
-    Movement,
-    Notification,
-    Problem,
-    Push,
-    Request,
-    Unrecognised,
-    encode_code,
-)
-from m100link.protocol.commands.control import (
-    Arm,
-    Move,
-    QueryTask,
-    RequestAuthority,
-    StartTask,
-    Task,
-)
-from m100link.protocol.commands.registry import parse_command
-from m100link.protocol.firmware import PROFILES, FirmwareProfile, profile
-from m100link.protocol.packet import TelemetryPacket, encode_telemetry
 from m100link.protocol.records import *  # noqa: F403
-from m100link.protocol.setpoint import (
-    ControlMode,
-    Horizontal,
-    ReferenceFrame,
-    Setpoint,
-    Vertical,
-    Yaw,
-)
 
-if TYPE_CHECKING:  # a program that makes setpoints needs neither
+if TYPE_CHECKING:  # a program that makes setpoints needs no other command
+    from m100link.protocol.command import (
+        Address,
+        Command,
+        Movement,
+        Notification,
+        Problem,
+        Push,
+        Request,
+        Unrecognised,
+        encode_code,
+    )
     from m100link.protocol.commands.activation import (
         Activate,
         Credentials,
@@ -45,7 +26,26 @@ if TYPE_CHECKING:  # a program that makes setpoints needs neither
         SetTelemetryRates,
         Version,
     )
+    from m100link.protocol.commands.control import (
+        Arm,
+        Move,
+        QueryTask,
+        RequestAuthority,
+        StartTask,
+        Task,
+    )
     from m100link.protocol.commands.monitor import AuthorityChanged, FromMobile, PushTelemetry
+    from m100link.protocol.commands.registry import parse_command
+    from m100link.protocol.firmware import PROFILES, FirmwareProfile, profile
+    from m100link.protocol.packet import TelemetryPacket, encode_telemetry
+    from m100link.protocol.setpoint import (
+        ControlMode,
+        Horizontal,
+        ReferenceFrame,
+        Setpoint,
+        Vertical,
+        Yaw,
+    )
 
 __all__ = [
     "PROFILES",
@@ -92,4 +92,8 @@ __all__ += records.__all__
 if not TYPE_CHECKING:  # a checker that saw it would take every misspelt name for a name
     from m100link.errors.usage import loads
 
-    __getattr__ = loads(__name__, "commands.activation", "commands.monitor")
+    __getattr__ = loads(
+        __name__,
+        *("setpoint", "command", "firmware", "packet", "commands.registry", "commands.control"),
+        *("commands.activation", "commands.monitor"),
+    )

@@ -23,12 +23,14 @@ from dataclasses import dataclass, field, replace
 from enum import Enum, IntEnum
 from functools import lru_cache
 from struct import Struct
-from typing import NamedTuple, Self
+from typing import TYPE_CHECKING, NamedTuple, Self
 
 from m100link.errors import BadSetpoint
 from m100link.protocol.command import Movement
-from m100link.protocol.commands.control import Move
 from m100link.protocol.firmware import FirmwareProfile, FlagBit0, Generation
+
+if TYPE_CHECKING:
+    from m100link.protocol.commands.control import Move
 
 __all__ = ["LIMITS", "ControlMode", "Horizontal", "ReferenceFrame", "Setpoint", "Vertical", "Yaw"]
 
@@ -158,16 +160,14 @@ _VERTICAL_NAMES = {
     Vertical.HEIGHT: "height",
     Vertical.THRUST: "thrust_percent",
 }
-_SET, _ID = Move.ADDRESS
+_SET, _ID = 0x01, 0x03
 _pack_data = Struct("<3B4f").pack  # command set, command id, control flag, four values
 
 _YAW_NAMES = {Yaw.ANGLE: "yaw_deg", Yaw.RATE: "yaw_rate_deg_s"}
 
 
 @dataclass(frozen=True, slots=True)
-class Setpoint(
-    Movement, address=Move.ADDRESS, name=Move.NAME, level=Move.LEVEL, encrypted=Move.ENCRYPTED
-):
+class Setpoint(Movement, address=(_SET, _ID), name="move", level=2, encrypted=True):
     """One movement command with units: :class:`Move` with a meaning.
 
     Build one with :meth:`tilt`, :meth:`velocity` or :meth:`position_offset`; all values are
@@ -394,6 +394,8 @@ class Setpoint(
         Raises:
             BadSetpoint: See :meth:`control_flag`.
         """
+        from m100link.protocol.commands.control import Move  # as the virtual aircraft reads it
+
         return Move(self.control_flag(profile), self.x, self.y, self.z, self.yaw)
 
     @classmethod

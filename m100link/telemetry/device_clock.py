@@ -66,25 +66,9 @@ class DeviceClock:
     """
 
     __slots__ = (
-        "_arrivals",
-        "_arrivals_since",
-        "_backlog",
-        "_backlog_at",
-        "_device",
-        "_floor",
-        "_intercept",
-        "_last_tick",
-        "_late",
-        "_latest",
-        "_newest",
-        "_notes",
-        "_received_at",
-        "_resets",
-        "_seconds",
-        "_silence",
-        "_slope",
-        "_spread",
-        "tick_hz",
+        *("_arrivals", "_arrivals_since", "_backlog", "_backlog_at", "_device", "_floor"),
+        *("_intercept", "_last_tick", "_late", "_latest", "_newest", "_notes", "_received_at"),
+        *("_resets", "_seconds", "_silence", "_slope", "_spread", "tick_hz"),
     )
 
     def __init__(self, tick_hz: int) -> None:

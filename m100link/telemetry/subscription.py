@@ -86,19 +86,8 @@ class SampleQueue(Generic[T]):
     # Slots here and in the other parts that every package passes: a process with hundreds of
     # aircraft finds each of them cold, and attributes in a place of their own cost another miss.
     __slots__ = (
-        "_next_at",
-        "_policy",
-        "count",
-        "dropped",
-        "error",
-        "is_closed",
-        "loop",
-        "min_interval",
-        "received",
-        "thinned",
-        "values",
-        "waiter",
-        "wanted",
+        *("_next_at", "_policy", "count", "dropped", "error", "is_closed", "loop", "min_interval"),
+        *("received", "thinned", "values", "waiter", "wanted"),
     )
 
     def __init__(

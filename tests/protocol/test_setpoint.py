@@ -82,6 +82,12 @@ def build(
     return make(**words | dict(zip(names, (x, y), strict=True)))
 
 
+def test_a_setpoint_goes_out_as_the_movement_command() -> None:
+    """Stated twice, so that a program that makes setpoints loads no other command."""
+    for said in ("ADDRESS", "NAME", "LEVEL", "ENCRYPTED", "SINCE", "NEEDS_ACTIVATION"):
+        assert getattr(Setpoint, said) == getattr(Move, said)
+
+
 @pytest.mark.parametrize(("number", "horizontal", "vertical", "yaw", "flag"), MODES)
 def test_each_mode_has_its_number_and_its_flag(
     number: int, horizontal: Horizontal, vertical: Vertical, yaw: Yaw, flag: int
