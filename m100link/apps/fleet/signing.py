@@ -93,8 +93,8 @@ def read_signer(folder: Path, name: str, authority: Revocations | None = None) -
         made = "m100link fleet make FILE makes it: name that folder by --pki"
         remedy = f"name one of {there}" if there else made
         raise UsageError(f"{folder} has no signing key of {name}", remedy=remedy)
-    more = () if authority is None else (authority.rights, authority.since)
-    return Signer(name, read_key(path).reveal(), *more)
+    rights, since = (None, nobody) if authority is None else (authority.rights, authority.since)
+    return Signer(name, read_key(path).reveal(), rights, since)
 
 
 def tls_options(folder: Path, name: str, *, listens: bool = False) -> dict[str, str]:
