@@ -107,8 +107,7 @@ class Bus(Session, Protocol):
         """Offer messages under a key to other sessions; one does not hear itself.
 
         ``within``: seconds that a message of ``put_later`` may wait for others to go with it: where
-        many go, that costs a fraction. None waits for longer than it takes until an outlet is
-        closed.
+        many go, that costs a fraction. None waits for longer than until an outlet is closed.
         """
         ...
 
@@ -216,15 +215,12 @@ _SENT_AT_ONCE = 256
 _NEXT_S = 0.001
 
 
-_NOT_TAKEN = "a message was not taken, or not sent"
-
-
-def _do(work: Callable[..., object], *what: Any) -> None:
-    """Take or send a message: the error of one does not reach the next one."""
+def _do(work: Callable[..., Any], *what: Any) -> Any:
+    """Make, take or send a message: the error of one, which makes None, reaches no other."""
     try:
-        work(*what)
+        return work(*what)
     except Exception:
-        _logger.exception(_NOT_TAKEN)
+        _logger.exception("a message was not taken, or not sent")
 
 
 class ThreadQueue:
@@ -319,13 +315,10 @@ class Bundle:
         self._timer, made = None, []
         for _ in range(min(_SENT_AT_ONCE, len(self._waiting))):
             send, make, what = self._waiting.popleft()
-            try:
-                if payload := make(*what):
-                    made.append((send, payload))
-            except Exception:
-                _logger.exception(_NOT_TAKEN)
+            made.append((send, _do(make, *what)))
         for send, payload in made:
-            _do(send, payload)
+            if payload:
+                _do(send, payload)
         if self._waiting:
             self._send_in(_NEXT_S)
 
@@ -335,31 +328,18 @@ class Bundle:
 
 
 class PollingReader(Held):
-    """Takes the messages of a ring, every ``within`` seconds, until it is closed.
-
-    All readers of a loop look at the same moments: one wake-up serves them.
-    """
+    """Takes the messages of a ring every ``within`` seconds: one wake-up serves all readers."""
 
     def __init__(
-        self,
-        declared: Held,
-        ring: Inbox[tuple[Any, ...]],
-        take: Callable[..., None],
-        within: float,
+        self, declared: Held, ring: Inbox[Any], take: Callable[..., None], within: float
     ) -> None:
         self._loop = asyncio.get_running_loop()
         self._declared, self._within = declared, within
         self._ring, self._take = ring, take
-        # Taken from the ring, and not handed on yet.
-        self._found: deque[tuple[Any, ...]] = deque()
+        self._found: deque[Any] = deque()  # taken from the ring, and not handed on yet
         self._is_full = False  # the ring, when it was taken from: there is more
         self._is_open = True
-        self._due = self._loop.time() // within * within
-        self._wait()
-
-    def _wait(self) -> None:
-        late, within = self._loop.time() - self._due, self._within
-        self._due += within * (1 + late // within)
+        self._due = (self._loop.time() // within + 1) * within
         self._timer = self._loop.call_at(self._due, self._look)
 
     def _look(self) -> None:
@@ -371,11 +351,12 @@ class PollingReader(Held):
             _do(self._take, *self._found.popleft())
             if perf_counter() >= until:
                 break
-        if self._is_open and (self._is_full or self._found):
+        if self._is_open:
             # Others have their turn, and then messages that are left or came meanwhile.
-            self._timer = self._loop.call_later(0.0, self._look)
-        elif self._is_open:
-            self._wait()
+            if not (self._is_full or self._found):
+                late, within = self._loop.time() - self._due, self._within
+                self._due += within * (1 + late // within)
+            self._timer = self._loop.call_at(self._due, self._look)
 
     def close(self) -> None:
         self._is_open = False

@@ -229,8 +229,7 @@ async def test_what_is_dear_to_read_leaves_turns_to_others(
     queue = ThreadQueue(loop, take, 1000)
     for number in range(100):
         queue.put(number)
-    looks = PollingReader(Sink(), Full(), take, 1.0)
-    loop.call_soon(looks._look)
+    looks = PollingReader(Sink(), Full(), take, 1e-10)
     while len(taken) < 200:
         began = clock
         await asyncio.sleep(0)
