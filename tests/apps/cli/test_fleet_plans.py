@@ -362,6 +362,19 @@ def test_a_show_is_flown_and_who_is_not_there_is_named(show_site: Site, tmp_path
 
 
 @needs_zenoh
+@pytest.mark.pty
+def test_a_closed_terminal_ends_a_show_that_has_not_begun_and_all_land(
+    show_site: Site, tmp_path: Path
+) -> None:
+    flying = show_site.start("show", "fly", show(tmp_path, ("a1", "a2")), "--yes")
+    show_site.listed(2, lambda card: (card.get("height_m") or 0.0) > 0.5)
+    flying.send_signal(signal.SIGHUP)
+    assert flying.wait(PATIENCE) == ExitCode.INTERRUPTED
+    cards = show_site.listed(2, lambda card: (card.get("height_m") or 0.0) < 0.2)
+    assert [round(card["height_m"]) for card in cards] == [0, 0]
+
+
+@needs_zenoh
 def test_nobody_takes_off_without_a_yes_or_by_a_show_that_is_not_sound(
     cli: CommandLine, tmp_path: Path
 ) -> None:
