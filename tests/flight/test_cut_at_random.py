@@ -23,6 +23,7 @@ from m100link import (
     NoAuthority,
     Position,
     Target,
+    TaskRefused,
     Waypoint,
     WaypointPlan,
 )
@@ -163,7 +164,7 @@ def place(flown: Rig, north: float) -> tuple[float, float]:
 
 
 async def by_waypoints(flown: Rig) -> None:
-    points = [Waypoint(*place(flown, north), height=8.0) for north in (8.0, 25.0, 60.0)]
+    points = [Waypoint(*place(flown, north), height=8.0) for north in (8.0, 25.0, 200.0)]
     async with flown.aircraft.control() as control:
         async with control.waypoint_mission(WaypointPlan(points, speed=4.0)) as mission:
             async for _ in mission:
@@ -200,7 +201,7 @@ async def under_time_outs(flown: Rig) -> None:
         fly_to = partial(control.fly_to, north=10.0, east=0.0, up=2.0)
         for turn in range(40):
             do = (control.land, control.take_off, fly_to, control.go_home)
-            with contextlib.suppress(TimeoutError):
+            with contextlib.suppress(TimeoutError, TaskRefused):
                 async with asyncio.timeout(0.05 + 0.07 * turn):
                     await do[turn % 4]()
             await asyncio.sleep(0.3)
