@@ -119,7 +119,7 @@ async def test_take_off_in_the_air_is_refused_with_the_situation(firmware: str) 
         assert error.situation["battery_percent"] == 100
         assert error.situation["gps_health"] == 5
         assert error.situation["mode_switch"] == "F"
-        assert "stopped motors" in error.remedy
+        assert "in the air leave take-off out" in error.remedy
 
 
 @pytest.mark.parametrize("task", ["take_off", "land", "go_home"])

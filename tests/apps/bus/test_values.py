@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from m100link.apps.bus.network import BatchingPublisher, Question
+from m100link.apps.bus.network import Question
 from m100link.apps.bus.session import Opening, ZenohBus, _refused
 from m100link.errors import M100Error, NoRouter, PortBusy, UsageError
 from m100link.sim.clock import virtual_clock_loop
@@ -188,8 +188,13 @@ def test_a_session_that_has_ended_is_not_asked() -> None:
 
 def test_an_outlet_sends_until_it_is_closed_and_knows_who_listens() -> None:
     async def publish(bus: ZenohBus) -> None:
-        assert isinstance(bus.publish("m/b", within=0.02), BatchingPublisher)
+        bus.publish("m/b", within=0.02).put_later(bytes, b"0")
         outlet, declared = bus.publish("m/a"), wire.publisher
+        await asyncio.sleep(0.019)
+        assert declared.sent == [], "it waits for others"
+        await asyncio.sleep(0.002)
+        assert declared.sent == [(b"0", None)]
+        declared.sent.clear()
         wanted = []
         outlet.put(b"1", b"x")
         for is_matching in (True, False):

@@ -100,6 +100,7 @@ def card(telemetry: AircraftState | None, **state: Any) -> Card:
     one._lost_plan = LostLinkPlan("land", 7.5)
     missions = SimpleNamespace(words="")
     one._orders = cast(Any, SimpleNamespace(missions=missions))
+    one.missions = cast(Any, missions)
     return one.card()
 
 
