@@ -22,12 +22,13 @@ from typing import Any
 from m100link.apps.agent.client import AgentClient
 from m100link.apps.agent.messages import State, Telemetry
 from m100link.apps.agent.transports import MemoryChannel, memory_channels
-from m100link.apps.bus.network import DEPTH, Bus, Held, Outlet
+from m100link.apps.bus.network import DEPTH, Held
 from m100link.apps.fleet.agent import FleetAgent
 from m100link.apps.fleet.client import Fleet, open_fleet
 from m100link.apps.fleet.keys import Keys
 from m100link.apps.fleet.order_log import MemoryOrderLog
 from m100link.apps.fleet.publisher import WALL_HZ, FleetTelemetry, Thinner
+from m100link.apps.fleet.signing import SealedBus
 from m100link.apps.station.config import Settings
 from m100link.apps.station.run import owning
 from m100link.apps.station.supervisor import leave_what_stays
@@ -43,29 +44,30 @@ _SLICE_S = 0.005
 """Packages that are due are sent in slices of so many seconds: as one turn of a busy loop does."""
 
 
-@dataclass(slots=True)
-class _CountedOutlet(Outlet):
-    outlet: Outlet
-    sent: Counter[str]
-    kind: str
+class _CountedPublisher:
+    """A publisher of zenoh's, where a message leaves: to count earlier would cost four calls."""
+
+    def __init__(self, publisher: Any, sent: Counter[str], kind: str) -> None:
+        self._put, self._sent, self._kind = publisher.put, sent, kind
+        self.matching_status = publisher.matching_status
+        self.declare_matching_listener = publisher.declare_matching_listener
+        self.undeclare = publisher.undeclare
 
     def put(self, payload: bytes, attachment: bytes | None = None) -> None:
-        self.sent[self.kind] += 1
-        self.outlet.put(payload, attachment)
+        self._sent[self._kind] += 1
+        self._put(payload, attachment=attachment)
 
-    def put_later(self, make: Callable[..., bytes], *what: Any) -> None:
-        def made() -> bytes:
-            payload = make(*what)
-            self.sent[self.kind] += bool(payload)
-            return payload
 
-        self.outlet.put_later(made)
+class _CountedSession:
+    def __init__(self, session: Any, sent: Counter[str]) -> None:
+        self._session, self._sent = session, sent
 
-    def is_wanted(self) -> bool:
-        return self.outlet.is_wanted()
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._session, name)
 
-    def close(self) -> None:
-        self.outlet.close()
+    def declare_publisher(self, key: str, **more: Any) -> _CountedPublisher:
+        publisher = self._session.declare_publisher(key, **more)
+        return _CountedPublisher(publisher, self._sent, key.rpartition("/")[2])
 
 
 class _CountedBus:
@@ -76,16 +78,14 @@ class _CountedBus:
         heard: What came.
     """
 
-    def __init__(self, bus: Bus) -> None:
-        self._bus = bus
+    def __init__(self, bus: SealedBus) -> None:
+        self._bus, self.publish = bus, bus.publish
         self.serve, self.ask, self.declare = bus.serve, bus.ask, bus.declare
         self.watch, self.tokens, self.session = bus.watch, bus.tokens, bus.session
         self.sent: Counter[str] = Counter()
         self.heard: Counter[str] = Counter()
-
-    def publish(self, key: str, *, within: float = 0.0) -> Outlet:
-        outlet = self._bus.publish(key, within=within)
-        return _CountedOutlet(outlet, self.sent, key.rpartition("/")[2])
+        inner: Any = bus._bus
+        inner._session = _CountedSession(inner._session, self.sent)
 
     def subscribe(
         self,
