@@ -161,6 +161,14 @@ TABLE: list[tuple[MavlinkMessage, Mode, object]] = [
         Mode.ORBIT,
         orders.FlyAround(10.5001, -20.2501, near(20.0), 7.0, 2.0, 200.0, clockwise=False),
     ),
+    *(  # 2 m/s where no speed is given, or none to fly at
+        (
+            long(ORBIT, 15.0, speed, 0, NAN, 10.5001, -20.2501, 95.31),
+            Mode.ORBIT,
+            orders.FlyAround(10.5001, -20.2501, near(20.0), 15.0, 2.0, 200.0, clockwise=True),
+        )
+        for speed in (0.0, -3.0)
+    ),
     (
         whole(ORBIT, RELATIVE_INT, X, Y, 95.31, 15.0, 3.0),
         Mode.ORBIT,
