@@ -158,7 +158,7 @@ class Autopilot:
             self._collect()
 
     def _execute(self, frame: Frame, now: float) -> None:
-        if frame.encrypted and not self._is_readable(frame):
+        if frame.encrypted and not (self._has_key and self._commands.knows(frame.data)):
             self._answer_undecodable(frame, now)
         else:
             reply = self._commands.execute(frame)
@@ -167,9 +167,6 @@ class Autopilot:
                 self.endpoint.acknowledge(frame, reply.payload, now=now, encrypted=encrypted)
                 if reply.begins_anew:
                     self.endpoint.receiver.forget_answered()
-
-    def _is_readable(self, frame: Frame) -> bool:
-        return self._has_key and self._commands.knows(frame.data)
 
     @property
     def _has_key(self) -> bool:

@@ -439,9 +439,11 @@ async def first_contact(
     if report is not None:
         _check_report(report)
     app = place.settings
+    address = parse_url(place.url, baud_rate=app.baud_rate)  # nobody's business but its kind
+    rate = f", {address.number} baud" if address.scheme == "serial" else ""
 
     def keep(contact: Contact) -> None:
-        described = {"line": _kind_of_line(place), **contact.to_json()}
+        described = {"line": address.scheme + rate, **contact.to_json()}
         if as_json():
             print_json(described)
         try:
@@ -478,13 +480,6 @@ def _remember(configuration: Configuration, name: str, url: str, contact: Contac
     found["seen"] = {"on": f"{datetime.now(UTC):%Y-%m-%d}", **contact.found}
     remember(configuration, name, url, found)
     err.print(f"kept in {shown(configuration.path)} [aircraft.{name}]", markup=False)
-
-
-def _kind_of_line(place: ConnectionOptions) -> str:
-    """The scheme, and the rate of a serial port: an address is nobody's business."""
-    address = parse_url(place.url, baud_rate=place.settings.baud_rate)
-    is_serial = address.scheme == "serial"
-    return f"{address.scheme}, {address.number} baud" if is_serial else address.scheme
 
 
 def _tell_observation(one: Observation) -> None:

@@ -335,19 +335,15 @@ def ctl(
         aircraft: Number of the aircraft, from 0, if the simulator has several.
     """
     if not order:
-        _list_actions()
+        for action in ACTIONS.values():
+            facts = {"action": action.name, "arguments": action.usage, "does": action.help}
+            tell(facts, f"{action.name:18} {action.usage:36} {action.help}")
         return 0
     answer = send_order(list(order), path=socket, aircraft=aircraft)
     if not answer.get("ok"):
         raise UsageError(str(answer.get("error", "no answer")))
     status = answer["status"]
     return tell(status, *(f"{name:24} {value}" for name, value in status.items()))
-
-
-def _list_actions() -> None:
-    for action in ACTIONS.values():
-        facts = {"action": action.name, "arguments": action.usage, "does": action.help}
-        tell(facts, f"{action.name:18} {action.usage:36} {action.help}")
 
 
 # -- the live view of ``m100link sim``: what a terminal shows, and what its keys do ----------------

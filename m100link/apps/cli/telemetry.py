@@ -81,7 +81,7 @@ async def echo(
     if csv and OutputFormat.json:
         raise UsageError("--csv and --json exclude each other", remedy="give one of them")
     csv = csv or OutputFormat.json is False
-    place, names = link.place_among([url or "", *items], _is_item)
+    place, names = link.place_among([url or "", *items], lambda word: word.lower() in ITEM_NAMES)
     records = items_named(names)
     writer = DictWriter(
         sys.stdout, ["received_at", "utc", *columns_of(records)], lineterminator="\n"
@@ -114,10 +114,6 @@ async def echo(
             writer.writeheader()
         await until(duration, print_all(aircraft))
     sys.stdout.flush()
-
-
-def _is_item(word: str) -> bool:
-    return word.lower() in ITEM_NAMES
 
 
 def _silent(aircraft: Aircraft, records: list[type[Any]]) -> list[str]:

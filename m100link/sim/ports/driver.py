@@ -176,7 +176,10 @@ class Driver:
             autopilot.skip(now)
         autopilot.advance(now)
         if self.scenario is not None:
-            self._play(self.scenario)
+            try:
+                self.scenario.advance(aircraft)
+            except UsageError as error:
+                aircraft.vehicle.log(f"scenario: {error.seen}")
         if line.is_plugged is not self._was_plugged:
             self._plug(line.is_plugged)
         if not line.to_aircraft.is_clean:
@@ -184,12 +187,6 @@ class Driver:
                 autopilot.receive_data(piece, now)
         self._flush(now)
         self._schedule(now)
-
-    def _play(self, scenario: TimedScenario) -> None:
-        try:
-            scenario.advance(self.aircraft)
-        except UsageError as error:
-            self.aircraft.vehicle.log(f"scenario: {error.seen}")
 
     def _plug(self, is_plugged: bool) -> None:
         self._was_plugged = is_plugged

@@ -454,7 +454,10 @@ def read_fence(items: Sequence[MavlinkMessage]) -> Fence:
         command, place = item["command"], (item["x"] / 1e7, item["y"] / 1e7)
         if command in _POLYGONS:
             if not waiting:
-                wanted, kind = _corners(number, item["param1"]), command
+                count, kind = item["param1"], command
+                if not 3 <= count <= 1000 or count != int(count):
+                    raise Refused(f"fence item {number}: a polygon of {count:g} corners")
+                wanted = int(count)
             if command != kind or item["param1"] != wanted:
                 raise Refused(f"fence item {number}: another polygon begins")
             _frame(number, place)  # a place at all
@@ -481,12 +484,6 @@ def read_fence(items: Sequence[MavlinkMessage]) -> Fence:
     if waiting:
         raise Refused("a polygon of the fence is incomplete")
     return Fence(tuple(areas))
-
-
-def _corners(number: int, count: float) -> int:
-    if not 3 <= count <= 1000 or count != int(count):
-        raise Refused(f"fence item {number}: a polygon of {count:g} corners")
-    return int(count)
 
 
 def _frame(number: int, place: tuple[float, float]) -> LocalFrame:

@@ -48,10 +48,6 @@ class OffboardTarget:
     yaw_rate: float | None = None  # turn, °/s, clockwise
 
 
-def _limited(value: float, limit: float) -> float:
-    return max(-limit, min(limit, value))
-
-
 def _fastest(world: VehicleState, settings: Mapping[str, float]) -> float:
     """Horizontal speed that is asked for at most, m/s."""
     limit = world.known.view.state.limits.max_speed_m_s
@@ -146,7 +142,7 @@ class Offboard:
             return None
         climb = self._climb(target)
         yaw_deg, yaw_rate = target.yaw_deg, target.yaw_rate
-        yaw_rate = _limited(yaw_rate or 0.0, _MOST_TURN) if yaw_deg is None else None
+        yaw_rate = max(-_MOST_TURN, min(_MOST_TURN, yaw_rate or 0.0)) if yaw_deg is None else None
         if target.tilt is not None:
             firmware = self._world.known.view.state.firmware
             limits = tilt_range(PROFILES.get(firmware, FIRMWARE_1_0))

@@ -220,11 +220,6 @@ class MavlinkVehicle:
             self._in_force[kind] = f"{peer.name} uploaded {name}: {said}"
             self._note(self._in_force[kind])
 
-    def _log_again(self) -> None:
-        """A new connection has a log of its own, which has to have what is in force, too."""
-        for text in self._in_force.values() if self._was_connected else ():
-            self._note(f"in force: {text}")
-
     def _note(self, text: str) -> None:
         self.world.known.note(text, LOG_ONLY)
 
@@ -508,7 +503,9 @@ class MavlinkVehicle:
         view = self.world.known.view
         if view.is_connected is not self._was_connected:
             self._was_connected = view.is_connected
-            self._log_again()
+            # A new connection has a log of its own, which has to have what is in force, too.
+            for text in self._in_force.values() if self._was_connected else ():
+                self._note(f"in force: {text}")
         if view.is_heard:
             self._tell_state(now, audience)
 

@@ -105,7 +105,10 @@ def console_app(
     # without a name for screen readers. The page says itself what it waits for.
     nicegui_app.config.quasar_config["loadingBar"]["skipHijack"] = True
     ui.page("/", title="m100link", viewport=_VIEWPORT, response_timeout=_RECONNECT_S)(page)
-    _log_nothing_of_strangers()
+    # NiceGUI builds a page for each path that there is not. It logs the address as it came, and the
+    # messages of pages. Both may hold keys and tokens, and be without end.
+    nicegui_app.add_exception_handler(404, _not_found)
+    core.sio.on("log", _forget)
     origins = sorted({video.origin for video in videos.values()})
     nicegui_app.add_middleware(Policy, videos=origins)  # it reads a page: before what compresses it
     ui.run_with(
@@ -137,15 +140,6 @@ def _wait_to_hear(client: Client, unheard: dict[str, Client]) -> None:
     unheard[client.id] = client
     client.on_connect(lambda: unheard.pop(client.id, None))
     client.on_delete(lambda: unheard.pop(client.id, None))
-
-
-def _log_nothing_of_strangers() -> None:
-    """NiceGUI builds a page for each path that there is not, and logs the address as it came.
-
-    It also logs the messages of pages. Both may hold keys and tokens, and be without end.
-    """
-    nicegui_app.add_exception_handler(404, _not_found)
-    core.sio.on("log", _forget)
 
 
 async def _not_found(request: Request, error: Exception) -> Response:

@@ -356,7 +356,10 @@ class Client:
         self, name: str, identity: object, packing: _Packing, values: str, result: bool
     ) -> None:
         size, compression = packing
-        text = _response(name, identity, values, result)
+        begin: dict[str, object] = {"op": "service_response", "service": name, "result": result}
+        if identity is not None:
+            begin["id"] = identity
+        text = f'{json.dumps(begin)[:-1]}, "values": {values}}}'
         if compression in ("cbor", "cbor-raw"):
             self._answer(to_cbor(read_json(text)))
             return
@@ -408,13 +411,6 @@ def _number(message: dict[str, Any], name: str, low: int, high: int) -> int:
     if not isinstance(value, int | float) or isinstance(value, bool) or not low <= value <= high:
         raise _Fault(f"{name} is a number from {low} to {high}")
     return int(value)
-
-
-def _response(name: str, identity: object, values: str, result: bool) -> str:
-    begin: dict[str, object] = {"op": "service_response", "service": name, "result": result}
-    if identity is not None:
-        begin["id"] = identity
-    return f'{json.dumps(begin)[:-1]}, "values": {values}}}'
 
 
 # -- what waits for one client ---------------------------------------------------------------------

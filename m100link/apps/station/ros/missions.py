@@ -257,6 +257,7 @@ def _commands(task: Mapping[str, object]) -> tuple[WaypointMission, list[Waypoin
 
 def _point(index: int, given: Message) -> WaypointPoint:
     count, times, actions, parameters = _actions(given["waypoint_action"])
+    limit: int = given["action_time_limit"]
     return WaypointPoint(
         index=index,
         latitude=math.radians(given["latitude"]),
@@ -267,17 +268,13 @@ def _point(index: int, given: Message) -> WaypointPoint:
         gimbal_pitch=given["target_gimbal_pitch"],
         turn_mode=given["turn_mode"],
         has_action=given["has_action"],
-        action_time_limit=_time_limit(given["action_time_limit"]),
+        # Programs send 64000 for no limit, which is 65535.
+        action_time_limit=limit if limit <= _LONGEST_LIMIT_S else _NO_LIMIT,
         action_count=count,
         action_repeat=times,
         actions=actions,
         parameters=parameters,
     )
-
-
-def _time_limit(seconds: int) -> int:
-    """Programs send 64000 for no limit, which is 65535."""
-    return seconds if seconds <= _LONGEST_LIMIT_S else _NO_LIMIT
 
 
 def _actions(given: Message) -> tuple[int, int, tuple[int, ...], tuple[int, ...]]:

@@ -171,14 +171,16 @@ class WaypointExecution:
         leg = self._legs[self._leg]
         speed = self._wanted_speed(sticks)
         if speed >= 0.0 and self._has_come_to(leg.length):
-            if leg.last > self._furthest and self._stops_at(leg.last):
+            is_stop = not self.plan.is_curved or leg.last == len(self.plan.points) - 1
+            if leg.last > self._furthest and is_stop:
                 self._arrive(leg.last)
                 return self._stand(sticks)
             if self._leg < len(self._legs) - 1:
                 self._enter(self._leg + 1, 0.0)
                 leg = self._legs[self._leg]
             elif speed > 0.0:  # again at the end of a route that was flown already
-                self.phase = WaypointPhase.WAIT if self._is_endless else WaypointPhase.FLY
+                is_endless = self.plan.mission.finish_action == FinishAction.ENDLESS
+                self.phase = WaypointPhase.WAIT if is_endless else WaypointPhase.FLY
         elif speed < 0.0 and self._leg > 0 and self._has_come_to(0.0):
             leg = self._legs[self._leg - 1]
             self._enter(self._leg - 1, leg.length)
@@ -222,10 +224,6 @@ class WaypointExecution:
         return self._steering.hold(self.plan.places[self.index], *self._yaw(sticks))
 
     # --- from point to point ----------------------------------------------------------------
-
-    def _stops_at(self, index: int) -> bool:
-        """Whether a waypoint is more than a corner to pass."""
-        return not self.plan.is_curved or index == len(self.plan.points) - 1
 
     def _arrive(self, index: int) -> None:
         self.index = index
@@ -281,10 +279,6 @@ class WaypointExecution:
         else:
             self.then = finish
             self.phase = WaypointPhase.OVER
-
-    @property
-    def _is_endless(self) -> bool:
-        return self.plan.mission.finish_action == FinishAction.ENDLESS
 
     def _enter(self, leg: int, s: float) -> None:
         self._leg, self._s = leg, s

@@ -258,8 +258,11 @@ class ClickPart:
             return
         place = event.args.get("place")
         if isinstance(place, list) and len(place) == 2 and all(map(_is_number, place)):
-            if not self.is_open:
-                self._take_height()
+            position = self._page.agent.view.get(Position)
+            # A flight to a point keeps the height that the aircraft has, unless somebody says so.
+            if not self.is_open and position and position.height_m > OFFERED["height"][0]:
+                self._pointed = self._pointed.changed("height", round(position.height_m))
+                self._numbers["height"].set(self._pointed.height)
             self._pointed = self._pointed.at(*place)
             self._open(is_open=True)
 
@@ -272,13 +275,6 @@ class ClickPart:
         if _is_number(value) and self.is_open and self._page.tab.session.has_lease:
             self._pointed = self._pointed.changed(name, round(value, _DRAGGED[name]))
             self._numbers[name].set(getattr(self._pointed, name))
-
-    def _take_height(self) -> None:
-        """A flight to a point keeps the height that the aircraft has, unless somebody says so."""
-        position = self._page.agent.view.get(Position)
-        if position is not None and position.height_m > OFFERED["height"][0]:
-            self._pointed = self._pointed.changed("height", round(position.height_m))
-            self._numbers["height"].set(self._pointed.height)
 
     def _changed(self, name: str, value: float | None) -> None:
         self._pointed = self._pointed.changed(name, value)
