@@ -504,8 +504,8 @@ class MavlinkVehicle:
         if view.is_connected is not self._was_connected:
             self._was_connected = view.is_connected
             # A new connection has a log of its own, which has to have what is in force, too.
-            for text in self._in_force.values() if self._was_connected else ():
-                self._note(f"in force: {text}")
+            for upload in self._in_force.values() if self._was_connected else ():
+                self._note(f"in force: {upload}")
         if view.is_heard:
             self._tell_state(now, audience)
 
