@@ -249,7 +249,6 @@ def _plain(text: str, root: Path) -> str:
 
 
 def _named(found: re.Match[str]) -> str:
-    """A link to another page as its topic."""
     text, topic = found.groups()
     return text if topic in ("index", text.lower()) else f"{text} (→ {topic})"
 

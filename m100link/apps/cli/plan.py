@@ -225,7 +225,6 @@ def _table(plan: WaypointPlan, *, is_wide: bool) -> Any:
 
 
 def _there(point: Waypoint) -> str:
-    """The actions at a waypoint, in a few words."""
     words = ", ".join(map(_word, point.actions))
     if point.actions and point.action_repeat > 1:
         words += f" ×{point.action_repeat}"

@@ -139,7 +139,6 @@ async def _running(
     served: dict[str, Any],
     tell: Callable[[str, Event], None],
 ) -> AsyncIterator[tuple[_Station, ChildProcess | None]]:
-    """The station, and the process of its fronts."""
     from m100link.apps.station.supervisor import beginning_fronts
 
     if options.single_process and len(aircraft) > 1:
@@ -222,7 +221,6 @@ def _console_url(settings: Settings, running: _Station) -> str:
 
 
 def _urls(settings: Settings, sockets: Sockets, name: str) -> list[str]:
-    """Addresses of a front's TCP ports."""
     from m100link.apps.station.listeners import FRONTS
 
     front = FRONTS[name]

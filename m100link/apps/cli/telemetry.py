@@ -117,7 +117,6 @@ async def echo(
 
 
 def _silent(aircraft: Aircraft, records: list[type[Any]]) -> list[str]:
-    """Names of those items of which nothing ever came."""
     return [
         BY_RECORD[record].name for record in records if not aircraft.state.statistics(record).count
     ]

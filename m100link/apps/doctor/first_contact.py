@@ -361,7 +361,6 @@ class _Meeting:
         self._see(Topic.ITEM_RATES, found, seen or "no item arrives")
 
     def _rate_of(self, record: type[Any]) -> int:
-        """The rate of the assistant that is nearest to what arrives."""
         counted = self._aircraft.state.statistics(record)
         rate = counted.rate_hz or (1.0 if counted.count else 0.0)
         return min(RATES_HZ, key=lambda one: abs(math.log((one or 0.1) / max(rate, 0.1))))

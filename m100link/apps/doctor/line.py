@@ -245,7 +245,6 @@ def _picked_up(seen: str, heard: Heard) -> Finding:
 
 
 async def _scan(address: ConnectionString) -> int | None:
-    """The other rate at which frames come, or None."""
     for rate in RATES:
         if rate == address.number:
             continue

@@ -364,7 +364,6 @@ class MissionFlights:
     # -- progress --------------------------------------------------------------------------------
 
     def target(self) -> GuidedOrder | None:
-        """The leg that is under way."""
         flight, flies = self._manager.flight, (FlightSource.FLIGHT, FlightSource.MISSION)
         is_ours = flight is not None and self.flown in flight.legs
         return self.flown if is_ours and self._manager.running in flies else None

@@ -40,8 +40,6 @@ _EAST = records.Attitude(math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))
 
 
 class Places:
-    """Where the aircraft is, from where its GPS was good first."""
-
     def __init__(self) -> None:
         self.origin: LocalFrame | None = None  # that place; None before
 
@@ -204,7 +202,6 @@ class MessageMaker:
         return self._messages.imu(stamp, attitude, rates, sample.acceleration)
 
     def _place(self, sample: Sample) -> Place | None:
-        """Where it is; three topics ask for the same package."""
         if self._placed is None or self._placed[0] is not sample:
             position = self._near(records.Position, sample)
             found = None if position is None else self.places.local(position)

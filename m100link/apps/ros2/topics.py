@@ -93,8 +93,6 @@ OUTPUTS: Mapping[str, Output] = {
 
 @dataclass(frozen=True, slots=True)
 class Taken:
-    """A topic that the node listens to, or a service that it offers."""
-
     kind: str
     text: str  # what it does, for the manual
     ends: type[orders.Order] | None = None  # the order by which it ends something

@@ -287,7 +287,6 @@ class ActiveMission:
             self.stopping.cancel()
 
     async def ended(self) -> None:
-        """Wait for its end, or until its stop got no answer."""
         if self.watch is not None:
             await asyncio.wait([self.watch])
 

@@ -490,7 +490,6 @@ def _controller(
 
 
 def _require(part: str, known: tuple[float, ...], identity: float) -> None:
-    """Raises UsageError: it is another one's."""
     if not (math.isnan(identity) or identity in (0.0, *known)):
         raise UsageError(f"{part}: there is no {part} {identity:g}")
 

@@ -87,8 +87,6 @@ SILENCE = 10.0  # seconds without a word after which a client may have to make r
 
 
 class Guest(Protocol):
-    """A client, as far as its place goes."""
-
     peer: str  # address that it comes from
     heard_at: float  # when it last said anything; when it came, if it never did
     has_spoken: bool  # whether it ever said anything

@@ -433,7 +433,6 @@ async def _serving(server: Server, sockets: list[socket.socket]) -> AsyncIterato
 
 
 async def frames_of(websocket: WebSocket) -> AsyncIterator[str | bytes]:
-    """The frames that a client sends, until it leaves."""
     while True:
         message = await websocket.receive()
         if message["type"] == "websocket.disconnect":

@@ -168,8 +168,6 @@ class TileFault(StrEnum):
 
 
 class Pictures(NamedTuple):
-    """The state of the tiles, for a page."""
-
     zooms: tuple[int, int] | None = None  # the least and greatest zoom; None with a fault
     licence: str = ""
     version: int = 0  # another one with each change of the file

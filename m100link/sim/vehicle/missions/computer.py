@@ -368,7 +368,6 @@ class MissionComputer:
             flight.land()
 
     def _unable(self, running: Flown) -> MissionCode | None:
-        """Why the aircraft cannot go on by itself."""
         flight, settings = self._flight, self._settings
         if flight.gps_health < GOOD_GPS:
             return MissionCode.GPS_TOO_WEAK

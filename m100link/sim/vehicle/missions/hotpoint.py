@@ -152,7 +152,6 @@ class HotpointExecution:
 
     @property
     def distance(self) -> float:
-        """Metres from the centre."""
         motion, centre = self._motion, self._centre
         return math.hypot(motion.north - centre.north, motion.east - centre.east)
 
@@ -176,7 +175,6 @@ class HotpointExecution:
             self.set_rate(1 if self._rate_deg >= 0.0 else 0, self._rate_deg)
 
     def reset_yaw(self) -> None:
-        """The nose goes back to where the yaw mode wants it."""
         self._nose_offset = 0.0
 
     # --- each step --------------------------------------------------------------------------

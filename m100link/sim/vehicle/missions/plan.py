@@ -32,8 +32,6 @@ class ActionKind:
 
 
 class FinishAction:
-    """The actions after the last waypoint."""
-
     NONE, GO_HOME, LAND, FIRST_POINT, ENDLESS = range(5)
 
 
@@ -248,8 +246,6 @@ class MissionPhase(Enum):
 
 
 class MissionOrder(Enum):
-    """The orders of a mission."""
-
     UPLOAD = auto()
     ADD = auto()
     START = auto()

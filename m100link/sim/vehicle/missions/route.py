@@ -217,7 +217,6 @@ class RouteLeg:
         return cls([_Line(start, _direction(start, end), length)], [(0.0, first), (length, last)])
 
     def at(self, s: float) -> OnLeg:
-        """The place after ``s`` metres."""
         s = max(0.0, min(self.length, s))
         index = max(0, bisect_right(self._starts, s) - 1)
         return self._pieces[index].at(s - self._starts[index])
@@ -441,7 +440,6 @@ class MissionSteering:
         return LocalPlace(motion.north, motion.east, motion.height)
 
     def is_at(self, place: LocalPlace, within: float = 0.3) -> bool:
-        """Whether the aircraft stands still at a place."""
         motion = self._motion
         is_still = motion.speed < 0.3 and abs(motion.velocity_up) < 0.3
         return is_still and math.dist(self.here, place) < within

@@ -284,7 +284,6 @@ class WaypointExecution:
         self._leg, self._s = leg, s
 
     def _has_come_to(self, s: float) -> bool:
-        """Whether the aircraft is at an end of its leg."""
         leg = self._legs[self._leg]
         place = leg.at(s).place
         index = leg.last if s > 0.0 else leg.first

@@ -297,7 +297,6 @@ class NumberField:
         return self._to_shown(low), self._to_shown(high)
 
     def set(self, value: float | None) -> None:
-        """Let another value stand there, in the unit of the protocol."""
         if value != self._value:
             self._value = value
             self._show()

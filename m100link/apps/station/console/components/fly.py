@@ -60,8 +60,6 @@ def _place(name: str) -> ui.element:
 
 
 class SticksPart:
-    """The pad; the socket brings what it shows."""
-
     def __init__(self, page: component.PageContext) -> None:
         wording = page.wording
         with _place("steering"), ui.element("div").props("id=pad tabindex=0 role=group") as pad:

@@ -153,8 +153,6 @@ class Shown:
 
 @dataclass(frozen=True, slots=True)
 class MapRefusal:
-    """Why something is refused, and what to do about it."""
-
     reason: Text | None  # what was seen; None where there is only a remedy
     remedy: Text | str  # for the operator; empty where none is known
 

@@ -186,8 +186,6 @@ class RecordedFlight:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Inputs:
-    """Everything that a view may know."""
-
     vehicle: VehicleView  # what may be believed of the aircraft
     has_lease: bool = False  # whether the tab that looks holds the lease
     # How that tab lost the lease, and to whom; None unless something else than the tab ended it.

@@ -148,8 +148,6 @@ def tr(key: str, **values: object) -> Text:
 
 @dataclass(frozen=True, slots=True)
 class Translator:
-    """Says texts in one language and one set of units."""
-
     language: Language = Language.ENGLISH
     units: Units = METRIC
 
