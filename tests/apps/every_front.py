@@ -30,6 +30,7 @@ from m100link.apps.fleet.payloads import TakePlace
 from m100link.apps.fleet.show.conductor import Conductor
 from m100link.apps.fleet.show.plan.document import Show
 from m100link.apps.fleet.show.service import ShowService
+from m100link.apps.mavlink.translator.numbers import MavCommand
 from m100link.apps.mavlink.translator.vehicle_state import Mode
 from m100link.apps.station.fleet import Ships
 from m100link.apps.station.ros.graph import Graph
@@ -358,9 +359,21 @@ class BesideAnAgent(Front):
         tab = self.other_page.tab
         tab.agent.hover("hover", tab.session.lease)
 
-    def step(self) -> None:
-        """The next step of the user's program: go home."""
+    async def take_off(self) -> None:
+        """Take control on the ground, and take off: not waited for."""
+        await self.take_control()
+        self.order(orders.TakeOff())
+
+    async def land(self) -> None:
+        self.order(orders.Land())
+
+    def order(self, order: orders.Order) -> None:
+        """Take off, land or go home, while the program goes on."""
         raise NotImplementedError
+
+    async def leave(self) -> None:
+        """The user's program or page has gone."""
+        self.is_there = False
 
     async def step_unheard(self) -> None:
         """A program's next step, after a STOP between two that its front did not hear, either."""
@@ -369,7 +382,7 @@ class BesideAnAgent(Front):
         with patch.object(self.near(), "on_event", []):
             await self.agent.stop()
             await self.passes(0.5)
-            self.step()
+            self.order(orders.GoHome())
             await self.passes(0.5)
 
     async def holder(self) -> str:
@@ -409,9 +422,13 @@ class Page(BesideAnAgent):
     async def stop(self) -> None:
         self.page.say("stop")
 
-    async def land(self) -> None:
+    def order(self, order: orders.Order) -> None:
         tab = self.page.tab
-        self.spawn(tab.attempt(lambda: tab.session.ask(orders.Land())))
+        self.spawn(tab.attempt(lambda: tab.session.ask(order)))
+
+    async def leave(self) -> None:
+        await super().leave()
+        self.page.tab.close()
 
     def _give_up(self) -> None:
         self.page.tab.session.let_go()
@@ -540,11 +557,16 @@ class Rosbridge(Station):
         await super().hang()
         asyncio.get_running_loop().call_later(PINGED_WITHIN_S, self.client.leave)
 
-    async def land(self) -> None:
-        self.client.call("/dji_sdk/drone_task_control", task=6)
+    def order(self, order: orders.Order) -> None:
+        self.client.call("/dji_sdk/drone_task_control", task=self.number(order))
 
-    def step(self) -> None:
-        self.client.call("/dji_sdk/drone_task_control", task=1)
+    @staticmethod
+    def number(order: orders.Order) -> int:
+        return {"take off": 4, "land": 6, "go home": 1}[order.label]
+
+    async def leave(self) -> None:
+        await super().leave()
+        self.client.leave()
 
     def send_late(self) -> None:
         self._joy(age=1.0)
@@ -573,6 +595,21 @@ class Rosbridge(Station):
             elif one.get("topic") in ("/nav_open_close_status", "/flight_status"):
                 said.append(f"{one['topic']} {message['data']:g}")
         return "\n".join(said)
+
+
+class Rosbridge2015(Rosbridge):
+    """The same by the topic of 2015."""
+
+    def order(self, order: orders.Order) -> None:
+        self.client.send("publish", topic="/sdk_request_cmd", msg={"data": self.number(order)})
+
+
+class Rosbridge2016(Rosbridge):
+    """The same by the action of 2016."""
+
+    def order(self, order: orders.Order) -> None:
+        task = {"task": {4: 1, 6: 2, 1: 3}[self.number(order)]}
+        self.client.send("publish", topic="/dji_sdk/drone_task_action/goal", msg={"goal": task})
 
 
 # -- MAVLink and ROS 2 -----------------------------------------------------------------------------
@@ -644,11 +681,15 @@ class Mavlink(AloneWithAgent):
     async def stop(self) -> None:
         self.spawn(self._in_mode("HOLD"))
 
-    async def land(self) -> None:
-        self.spawn(self._in_mode("LAND"))
+    async def take_off(self) -> None:
+        await self.rig.ground.arm()
+        self.rig.ground.command(MavCommand.NAV_TAKEOFF)
 
-    def step(self) -> None:
-        self.spawn(self._in_mode("RTL"))
+    def order(self, order: orders.Order) -> None:
+        self.spawn(self._in_mode({"land": "LAND", "go home": "RTL"}[order.label]))
+
+    async def leave(self) -> None:
+        await self.hang()
 
     def send_late(self) -> None:
         self.send()
@@ -698,11 +739,9 @@ class Ros2(AloneWithAgent):
     async def stop(self) -> None:
         self.spawn(self._call("~/stop"))
 
-    async def land(self) -> None:
-        self.spawn(self._call("~/land"))
-
-    def step(self) -> None:
-        self.spawn(self._call("~/go_home"))
+    def order(self, order: orders.Order) -> None:
+        name = {"take off": "takeoff", "land": "land", "go home": "go_home"}[order.label]
+        self.spawn(self._call(f"~/{name}"))
 
     def send_late(self) -> None:
         self.rig.program.late = 1.0
@@ -833,11 +872,8 @@ class FleetPilot(OfAFleet):
     async def stop(self) -> None:
         self.spawn(self.control.stop())
 
-    async def land(self) -> None:
-        self.spawn(self.control.land())
-
-    def step(self) -> None:
-        self.spawn(self.control.go_home())
+    def order(self, order: orders.Order) -> None:
+        self.spawn(getattr(self.control, order.label.replace(" ", "_"))())
 
     def send_late(self) -> None:
         """It waits on its way for a second."""

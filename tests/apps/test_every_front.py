@@ -15,11 +15,14 @@ from contextlib import nullcontext
 from enum import Enum
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
+from unittest.mock import patch
 
 import pytest
 
+from m100link.apps.agent.orders import GoHome, Land
 from m100link.protocol.records import Device
 from m100link.sim.clock import virtual_clock_loop
+from tests.apps import every_front
 from tests.apps.every_front import (
     OTHER,
     Console,
@@ -30,6 +33,8 @@ from tests.apps.every_front import (
     Performer,
     Ros2,
     Rosbridge,
+    Rosbridge2015,
+    Rosbridge2016,
     Sync,
 )
 from tests.rig import wrong_standing
@@ -437,6 +442,55 @@ async def at_once(front: Any, chance: random.Random) -> None:
             front.aircraft.leave_f()
             await front.passes(chance.choice((0.05, 0.3, 1.0, 3.0)))
             front.aircraft.return_to_f()
+
+
+CLIENTS: tuple[type[Front], ...] = (
+    *(Console, Rosbridge, Rosbridge2015, Rosbridge2016, Mavlink, Ros2, FarConsole),
+)
+"""Those whose user is not the block of control: a program that leaves its block has said how."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("phase", ["taking off", "flying", "landing"])
+@pytest.mark.parametrize("order", ["land", "go home", "STOP"])
+@pytest.mark.parametrize("one", CLIENTS, ids=lambda front: front.__name__)
+async def test_an_order_that_ends_a_flight_outlives_its_client(
+    one: type[Front], order: str, phase: str
+) -> None:
+    """Its client leaves at once; the aircraft comes down, or hovers, and obeys nobody then."""
+    chance, front = random.Random(f"{one.__name__} {order} {phase}"), one()
+    on_ground = patch.object(every_front, "put_in_the_air", lambda *_: None)
+    with on_ground if phase == "taking off" else nullcontext():
+        async with front.open():
+            if phase == "taking off":
+                await front.take_off()
+                await front.passes(chance.uniform(0.1, 6.0))
+                assert front.samples[-1].obeys is Device.ONBOARD, front.words()
+            else:
+                await front.take_control()
+            if phase == "landing":
+                await front.land()
+                await front.passes(chance.uniform(0.1, 1.0))
+            if order == "STOP":
+                await front.stop()
+            else:
+                front.order(GoHome() if order == "go home" else Land())
+            await front.passes(0.1)
+            await front.leave()
+            await front.passes(
+                10.0 if order == "STOP" else 90.0, lambda: not front.samples[-1].runs
+            )
+            await front.passes(5.0)
+            last = front.samples[-1]
+            assert last.speed < 0.3
+            if order == "STOP" and phase != "taking off":
+                assert last.runs, "it was to hover"
+            elif order != "STOP":
+                assert not last.runs, front.words()
+                assert last.height < 0.1
+            if order != "STOP" or one not in (Mavlink, Ros2):  # which keep control in the air
+                assert last.obeys is Device.RC, front.words()
+                assert await front.holder() == "", front.words()
 
 
 @pytest.mark.slow

@@ -41,9 +41,12 @@ _BROUGHT_DOWN_AGAIN = (
     errors.AckTimeout,
     errors.BadAck,
     errors.MissionRunning,
+    errors.NotObserved,  # from a height a landing lasts longer than anybody waits to see its end
     errors.OutcomeUnknown,
     errors.TaskRefused,
 )
+
+_WAYS_DOWN = (orders.Land.label, orders.GoHome.label)
 
 Grant = Callable[[float], Coroutine[Any, Any, Lease]]
 """Asks the agent for a lease that was wanted at that time, s: a STOP since then overtakes it."""
@@ -136,7 +139,8 @@ class ControlSession:
 
     A front calls :meth:`heard` twice a second while its operator is there: three seconds after the
     last call, or the last setpoint, the lease ends. It sets ``on_refused``, the only sign of a
-    setpoint that the agent did not fly, and calls :meth:`close` when its operator has gone.
+    setpoint that the agent did not fly, and calls :meth:`leave` or :meth:`close` when its operator
+    has gone. A landing or go-home that was asked for goes on until the aircraft is on the ground.
     """
 
     def __init__(
@@ -165,6 +169,9 @@ class ControlSession:
         # One request for control, or its end, at a time: they would cross.
         self._changing = asyncio.Lock()
         self._let_gos = 0  # what was asked for before the newest one is not wanted any more
+        # The newest landing or go-home that its operator asked for, and how many there were.
+        self._way_down: asyncio.Task[OrderOutcome] | None = None
+        self._ways_down = 0
         self._renewed_at = self._used_at = agent.now
         self._heard: list[tuple[list[Any], Callable[..., None]]] = [
             (agent.on_lease, self._lease_changed),
@@ -176,12 +183,12 @@ class ControlSession:
             callbacks.append(callback)
 
     def close(self) -> None:
-        """Give the lease back, and hear no more: it never holds one again."""
+        """As :meth:`leave`, and hear no more: it never holds a lease again."""
         # First: a request that is under way gives its lease back from here on (adopt).
         heard, self._heard = self._heard, []
         for callbacks, callback in heard:
             callbacks.remove(callback)
-        self.let_go()
+        self.leave()
 
     # -- where it stands -------------------------------------------------------------------------
 
@@ -422,6 +429,14 @@ class ControlSession:
             self._end(lease)
         self.feed(_I.LET_GO)
 
+    def leave(self) -> None:
+        """The operator has gone: :meth:`let_go`, at the end of a landing that was asked for."""
+        down = self._way_down
+        if down is None or down.done() or not self.has_lease:
+            self.let_go()
+        else:
+            down.add_done_callback(lambda _: self.let_go())
+
     def _end(self, lease: Lease) -> None:
         is_newest, is_in_force = self._lease is lease, self._agent.holds(lease)
         if is_newest:
@@ -480,7 +495,7 @@ class ControlSession:
 
     async def keep(self) -> None:
         """Call :meth:`heard` twice a second until it is cancelled; nobody looks at the operator."""
-        while self._heard:  # until the session is closed, too
+        while self._heard or self.has_lease:  # until the session is closed, too
             with goes_on("the renewal of a lease"):  # it is that of a landing, maybe
                 self.heard()
             await asyncio.sleep(RENEWAL_S)
@@ -513,7 +528,13 @@ class ControlSession:
             if is_anew and self._state is _S.STOPPED:
                 await self._agent.ask(orders.Obtain(), lease, asked_at=asked_at)
                 self.feed(_I.BEGUN_ANEW)
-            outcome = await self._agent.ask(order, lease, accepted, asked_at)
+            is_down = isinstance(order, orders.Land | orders.GoHome)
+            if is_down and self._agent.state.task not in _WAYS_DOWN:
+                work = self._brought_down(order, asked_at, accepted)
+                self._way_down = self._agent.background.spawn(work, order.label)
+                outcome = await asyncio.shield(self._way_down)
+            else:
+                outcome = await self._agent.ask(order, lease, accepted, asked_at)
         except errors.GuardRefused as error:
             self._met(error)
             raise
@@ -542,22 +563,40 @@ class ControlSession:
     async def bring_down(
         self, task: orders.Order, asked_at: float, accepted: Callable[[], None] | None = None
     ) -> None:
-        """Land, here or at home. Raises as :meth:`ask`.
+        """Land, here or at home, unless it stands. Raises as :meth:`ask`.
 
         Asked again for a minute while it is refused or unanswered: a task that was broken off takes
         its time to end, and without an answer nobody knows. A STOP since ``asked_at`` ends it.
         """
-        agent, lease = self._agent, self._lease
-        until = agent.now + BROUGHT_DOWN_S
-        while not agent.view.is_on_ground:
-            try:
-                await agent.ask(task, lease, accepted, asked_at)
-            except _BROUGHT_DOWN_AGAIN:
-                if agent.now >= until or self._lease is not lease:
-                    raise
-                await asyncio.sleep(RENEWAL_S)
-            else:
-                return
+        if self._is_down:
+            return
+        try:
+            await self._brought_down(task, asked_at, accepted)
+        except _BROUGHT_DOWN_AGAIN:
+            if not self._is_down:
+                raise
+
+    @property
+    def _is_down(self) -> bool:
+        return self._agent.view.is_on_ground is True and not self._agent.state.task
+
+    async def _brought_down(
+        self, task: orders.Order, asked_at: float, accepted: Callable[[], None] | None
+    ) -> OrderOutcome:
+        agent, lease, until = self._agent, self._lease, self._agent.now + BROUGHT_DOWN_S
+        self._ways_down = number = self._ways_down + 1
+        async with self.kept():  # its operator may have gone
+            while True:
+                try:
+                    return await agent.ask(task, lease, accepted, asked_at)
+                except _BROUGHT_DOWN_AGAIN as error:
+                    is_unseen = isinstance(error, errors.NotObserved)
+                    until = agent.now + BROUGHT_DOWN_S if is_unseen else until
+                    await asyncio.sleep(RENEWAL_S)
+                    is_late = agent.now >= until or number != self._ways_down
+                    is_lost = not agent.holds(lease) or (is_unseen and not agent.has_authority)
+                    if is_late or is_lost or self._is_down:
+                        raise
 
     async def stop(self) -> None:
         """Stop all that flies, without a lease, too; :meth:`begin_anew` lets setpoints fly."""

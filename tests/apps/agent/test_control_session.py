@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator, Coroutine
-from contextlib import AsyncExitStack
+from contextlib import AsyncExitStack, nullcontext
 from random import Random
 from types import SimpleNamespace
 from typing import Any
@@ -902,15 +902,18 @@ async def test_a_landing_that_is_refused_is_asked_for_again_for_a_minute(
     class Agent:
         now = property(lambda _: anyio.current_time() - began)
         view = SimpleNamespace(is_on_ground=False)
+        state = SimpleNamespace(task=None)
+        has_authority = False  # as where the flight had ended that was not seen to end
 
     agent: Any = Agent()
-    agent.ask = ask
+    agent.ask, agent.holds = ask, lambda held: held is lease
     session: Any = object.__new__(ControlSession)
-    session._agent, session._lease = agent, lease
+    session._agent, session._lease, session._ways_down = agent, lease, 0
+    session.kept = nullcontext
     with pytest.raises(type(error)):
         await session.bring_down(orders.Land(), 3.5)
     landings = [at for at, order, *_ in asked if isinstance(order, orders.Land)]
-    assert landings == pytest.approx([n / 2 for n in range(121)] if is_repeated else [0.0])
+    assert landings == pytest.approx([n / 2 for n in range(120)] if is_repeated else [0.0])
     assert all((found, at) == (lease, 3.5) for _, _, found, at in asked)
     asked.clear()
     agent.view.is_on_ground = True

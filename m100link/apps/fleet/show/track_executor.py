@@ -431,8 +431,7 @@ class TrackExecutor:
         control = self._control
         if self._leave == "land" and control.has_control:
             try:
-                async with control.kept():
-                    await control.bring_down(orders.Land(), self._placed_at)
+                await control.bring_down(orders.Land(), self._placed_at)
             except M100Error as error:
                 self.fault = self.fault or error
                 self._client.note(f"show: {error.seen}", "error")

@@ -389,9 +389,9 @@ class Tab:
             self._has_to_let_go = self._has_to_let_go if is_weaker else why
 
     def lost(self) -> None:
-        """The socket is gone: stop, and let others have control."""
+        """The socket is gone: stop, or land as was asked for, and let others have control."""
         self.way = ClockEstimate(PAGE_GRAIN)  # the next one may take another way
-        self.session.let_go()
+        self.session.leave()
         kept, self.kept = self.kept, {}
         for session in kept.values():
             session.close()
