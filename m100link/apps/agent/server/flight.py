@@ -215,7 +215,9 @@ class ActiveFlight:
             outcome, level = f"{name}: {error.seen}", "error"
             raise
         except asyncio.CancelledError:
-            outcome, level = f"{name} is not watched any more", "warning"
+            stands = is_on_ground(control.state)  # as where control is given back at status 1
+            outcome = f"{name}: control was given back before its end was seen"
+            level = "info" if stands else "warning"
             raise
         finally:
             self.task = self._running_task = None
