@@ -25,9 +25,9 @@ async def climb(aircraft: FleetAircraft, height: float) -> None:
 
 
 async def fly(fleet: Fleet) -> None:
-    flying = tell("take-off", await fleet.each(lambda one: one.take_off()))
-    heights = {name: 3.0 + number for number, name in enumerate(flying)}
     try:
+        flying = tell("take-off", await fleet.each(lambda one: one.take_off()))
+        heights = {name: 3.0 + number for number, name in enumerate(flying)}
         tell("climb", await fleet.each(lambda one: climb(one, heights[one.name]), flying))
     finally:
         tell("landing", await fleet.land())
