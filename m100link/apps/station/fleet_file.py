@@ -243,7 +243,7 @@ async def _examined(rights: Rights, tell: Callable[[str], None]) -> list[FleetFa
     ready = [name for name in rights.identities if (rights.pki / f"{name}.signing.key").exists()]
     bad = {one.name for one in found}
     seen: dict[str, set[str]] = {}
-    for router in rights.routers.values():
+    for router in (one for one in rights.routers.values() if one.name not in bad):
         for who in (one for one in ready if one not in bad):
             try:
                 asking = credentials(rights.pki, who, rights)
