@@ -109,7 +109,7 @@ async def test_services_activate_obtain_fly_and_release(rig: Rig) -> None:
         await rig.until(lambda n=before: len(client.answers()) > n)  # type: ignore[misc]
         assert client.answers()[-1]["result"] is True
     assert task_of(rig.agent) == "take off"  # answered when accepted, not when done
-    client.call("/dji_sdk/drone_task_control", task=6)
+    client.call("/dji_sdk/drone_task_control", task=4)
     await rig.until(lambda: len(client.answers()) == 4)
     assert client.answers()[-1]["result"] is False  # one task at a time
     await rig.until(lambda: task_of(rig.agent) is None)

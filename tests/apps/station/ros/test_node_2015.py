@@ -112,14 +112,20 @@ async def test_take_off_and_landing(rig: Rig) -> None:
     assert page.statuses() == []
 
 
-async def test_a_second_command_while_one_runs_is_reported_and_not_sent(rig: Rig) -> None:
+async def test_a_landing_during_a_take_off_waits_for_its_end(rig: Rig) -> None:
+    """It is sent once the aircraft would obey it; a second take-off is refused."""
     page = await rig.open()
-    page.publish("/sdk_request_cmd", data=4)
-    page.publish("/sdk_request_cmd", data=6)
+    for number in (4, 4, 6):
+        page.publish("/sdk_request_cmd", data=number)
+
+    def sent() -> list[int]:
+        commands = [one.command for one in rig.aircraft.autopilot.received_commands]
+        return [int(one.task) for one in commands if isinstance(one, StartTask)]
+
+    await rig.until(lambda: task_of(rig.agent) == "take off")
     await rig.until(lambda: task_of(rig.agent) is None)
-    await anyio.sleep(1.0)
-    sent = [one.command for one in rig.aircraft.autopilot.received_commands]
-    assert [c.task for c in sent if isinstance(c, StartTask)] == [4]
+    assert sent() == [4]
+    await rig.until(lambda: sent() == [4, 6], within=1.0)
     assert any("during take off" in text for text in page.statuses())
 
 
