@@ -18,7 +18,8 @@ import subprocess
 import sys
 from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
-from typing import Any
+from types import NoneType, UnionType
+from typing import Any, Union, get_args, get_origin
 
 import m100link
 
@@ -31,6 +32,8 @@ Promises = dict[str, str]
 
 OF_ONE_RELEASE = ("m100link.apps.agent.", "m100link.apps.bus.")
 """Rooms that pages describe and that promise nothing: both ends are of one release."""
+
+_UNIONS = (Union, UnionType)  # which Python 3.14 writes alike
 
 _DOCUMENTED = re.compile(
     r"^\.\. auto(module|class|exception|function|data):: (m100link[\w.]*)", re.M
@@ -100,7 +103,9 @@ def found(name: str) -> Any:
 def described(name: str, value: Any, others: Collection[int]) -> Iterator[tuple[str, str]]:
     """A name and its members, without those that it inherits from one of the others."""
     if not inspect.isclass(value):
-        yield name, signature(value) if inspect.isroutine(value) else constant(value)
+        # crcmod makes a function with or without its extension in C, which have other arguments.
+        is_ours = inspect.isroutine(value) and value.__module__.startswith("m100link")
+        yield name, signature(value) if is_ours else constant(value)
         return
     line = [kind for kind in value.__mro__ if kind.__module__.startswith("m100link")]
     bases = ", ".join(base.__name__ for base in value.__bases__ if base is not object)
@@ -154,6 +159,9 @@ def signature(value: Any) -> str:
 
 def named(annotation: Any) -> str:
     """A type without modules and as every Python writes it."""
+    if get_origin(annotation) in _UNIONS:
+        parts = get_args(annotation)
+        return " | ".join("None" if one is NoneType else named(one) for one in parts)
     text = getattr(annotation, "__forward_arg__", annotation)
     text = text if isinstance(text, str) else inspect.formatannotation(text)
     return re.sub(r"Optional\[(.*)\]", r"\1 | None", re.sub(r"\b(?:\w+\.)+(?=\w)", "", text))
@@ -161,6 +169,8 @@ def named(annotation: Any) -> str:
 
 def constant(value: Any) -> str:
     """A default or a constant; of what is no plain value, its type."""
+    if get_origin(value) in _UNIONS:
+        return named(value)
     if isinstance(value, enum.Enum):
         return f"{type(value).__name__}.{value.name}"
     shown = " ".join(repr(value).split())
