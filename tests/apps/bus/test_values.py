@@ -5,11 +5,11 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
-from m100link.apps.bus.network import Question
+from m100link.apps.bus.network import BatchingPublisher, Question
 from m100link.apps.bus.session import Opening, ZenohBus, _refused
 from m100link.errors import M100Error, NoRouter, PortBusy, UsageError
 from m100link.sim.clock import virtual_clock_loop
@@ -34,6 +34,7 @@ class Declared:
 
     def __init__(self) -> None:
         self.sent: list[tuple[bytes, bytes | None]] = []
+        self.waiting: list[Any] = []  # in its ring
         self.ended = 0
         self.error: Exception | None = None
         self.matching_status = SimpleNamespace(matching=False)
@@ -49,6 +50,9 @@ class Declared:
             raise self.error
         self.sent.append((payload, attachment))
 
+    def try_recv(self) -> Any:
+        return self.waiting.pop(0) if self.waiting else None
+
     def undeclare(self) -> None:
         self.ended += 1
 
@@ -59,7 +63,7 @@ class Wire:
     def __init__(self, *replies: tuple[float, Any], ends_at: float | None = None) -> None:
         self.asked: list[tuple[str, str, dict[str, Any]]] = []
         self.heard: Callable[[Any], None] = lambda _: None
-        self.publisher = Declared()
+        self.publisher, self.held = Declared(), Declared()
         self.info = SimpleNamespace(routers_zid=list[str], peers_zid=list[str])
         self._replies, self._ends_at = replies, ends_at
 
@@ -78,7 +82,7 @@ class Wire:
     def declare_subscriber(self, key: str, heard: Any, **how: Any) -> Any:
         self.asked.append(("subscribe", key, how))
         self.heard = heard
-        return Declared()
+        return self.held
 
     def declare_queryable(self, key: str, heard: Any, **how: Any) -> Any:
         self.asked.append(("serve", key, how))
@@ -188,13 +192,14 @@ def test_a_session_that_has_ended_is_not_asked() -> None:
 
 def test_an_outlet_sends_until_it_is_closed_and_knows_who_listens() -> None:
     async def publish(bus: ZenohBus) -> None:
-        bus.publish("m/b", within=0.02).put_later(bytes, b"0")
+        batched = bus.publish("m/b", within=0.02)
+        assert isinstance(batched, BatchingPublisher)
+        batched.put(b"0", b"y")
+        assert wire.publisher.sent == []
+        await asyncio.sleep(0.02)
+        assert wire.publisher.sent == [(b"0", b"y")]
+        wire.publisher = Declared()
         outlet, declared = bus.publish("m/a"), wire.publisher
-        await asyncio.sleep(0.019)
-        assert declared.sent == [], "it waits for others"
-        await asyncio.sleep(0.002)
-        assert declared.sent == [(b"0", None)]
-        declared.sent.clear()
         wanted = []
         outlet.put(b"1", b"x")
         for is_matching in (True, False):
@@ -266,6 +271,26 @@ def test_what_is_heard_is_handed_over_with_its_key_up_to_its_greatest_length() -
         *(("m/c", b"yes", {"attachment": b"z"}), "dropped"),
     ]
     assert wire.asked[1] == ("subscribe", "m/*/live", {"history": True}), "also who is there before"
+
+
+def test_what_may_wait_is_taken_from_a_ring_every_so_often() -> None:
+    found: list[Any] = []
+
+    async def hear(bus: ZenohBus) -> None:
+        held = bus.subscribe("m/*", lambda *what: found.append(what), depth=4, within=0.02)
+        wire.held.waiting = [sample("m/a", b"1"), sample("m/b", bytes(9))]
+        await asyncio.sleep(0.019)
+        assert found == []
+        await asyncio.sleep(0.002)
+        assert found == [("m/a", b"1"), ("m/b", b"")]
+        held.close()
+        wire.held.waiting = [sample("m/a", b"2")]
+        await asyncio.sleep(0.1)
+        assert (len(found), wire.held.ended) == (2, 1)
+
+    wire = Wire()
+    run(wire, hear)
+    assert cast(Any, wire.heard) == ("ring", 4)
 
 
 @pytest.mark.parametrize(

@@ -333,8 +333,8 @@ def test_a_flight_log_is_read_in_radians_metres_and_percent(
         return SimpleNamespace(at=at, content=lambda: found)
 
     def sample(at: float, **items: Any) -> Any:
-        names = ("attitude", "velocity", "angular_velocity", "acceleration", "position")
-        names += ("battery", "flight_status")
+        names = ["attitude", "velocity", "angular_velocity", "acceleration", "position"]
+        names += ["battery", "flight_status"]
         return SimpleNamespace(received_at=at, **dict.fromkeys(names) | items)
 
     flight = SimpleNamespace(

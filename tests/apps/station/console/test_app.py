@@ -168,10 +168,12 @@ async def test_a_page_is_given_its_aircraft_and_what_was_flown(
         add_exception_handler=lambda code, _: pages.append(code),
     )
     heard = SimpleNamespace(on=lambda name, _: pages.append(name))
-    ui = SimpleNamespace(
-        page=lambda path, **_: (pages.append(path), pages.append)[1],
-        run_with=lambda app, **how: ran.append((app, how)),
-    )
+
+    def page_at(path: str, **_: object) -> Any:
+        pages.append(path)
+        return pages.append
+
+    ui = SimpleNamespace(page=page_at, run_with=lambda app, **how: ran.append((app, how)))
     for name, fake in (
         *(("nicegui_app", given), ("ui", ui), ("Page", Page)),
         ("core", SimpleNamespace(sio=heard)),

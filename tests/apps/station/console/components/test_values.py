@@ -37,6 +37,7 @@ from m100link.apps.station.console.components.map import ClickPart, MapPart
 from m100link.apps.station.console.kept import PlotHistory
 from m100link.apps.station.console.view import fly as view_of_fly
 from m100link.apps.station.console.view.alarms import ActiveAlarm, AlarmName, AlarmState
+from m100link.apps.station.console.view.data import LINK_ITEMS, EventLine
 from m100link.apps.station.console.view.fly import HELD
 from m100link.apps.station.console.view.header import FleetRow
 from m100link.apps.station.console.view.plan import Draft
@@ -1419,7 +1420,7 @@ def test_tables_of_the_link_are_filled_anew_and_keep_their_cells(here: Here) -> 
             )
             for n in range(rates)
         ]
-        texts = dict.fromkeys(data.LINK_ITEMS, Text("link.none"))
+        texts = dict.fromkeys(LINK_ITEMS, Text("link.none"))
         with here.client:
             part.update(
                 SimpleNamespace(
@@ -1552,7 +1553,7 @@ async def test_lines_are_placed_once_and_those_of_the_flight_lead_there(here: He
 
     def line(level: str, source: str, at: float) -> None:
         number = len(lines) + 1
-        lines.append(data.EventLine(number, at, level, source, f"text {number}"))
+        lines.append(EventLine(number, at, level, source, f"text {number}"))
 
     def update() -> list[Any]:
         here.notes.clear()
