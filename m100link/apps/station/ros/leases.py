@@ -44,7 +44,8 @@ class Clients:
     def __init__(self, agent: AgentClient, graph: Graph) -> None:
         self._agent = agent
         self._graph = graph
-        remedy = f"open control first ({graph.prefix}/nav_open_close_request 1)"
+        ways = ("nav_open_close_request 1", "dji_sdk/sdk_control_authority 1")
+        remedy = f"open control first ({' or '.join(f'{graph.prefix}/{way}' for way in ways)})"
         self._notes = TokenBucket(_NOTES_RATE, _NOTES_AT_ONCE)
         self._terms = Terms(activates=False, remedy=remedy)
         graph.on_leave.append(self._left)
