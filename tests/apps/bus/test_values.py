@@ -9,7 +9,7 @@ from typing import Any, cast
 
 import pytest
 
-from m100link.apps.bus.network import BatchingPublisher, Question
+from m100link.apps.bus.network import Question
 from m100link.apps.bus.session import Opening, ZenohBus, _refused
 from m100link.errors import M100Error, NoRouter, PortBusy, UsageError
 from m100link.sim.clock import virtual_clock_loop
@@ -192,12 +192,10 @@ def test_a_session_that_has_ended_is_not_asked() -> None:
 
 def test_an_outlet_sends_until_it_is_closed_and_knows_who_listens() -> None:
     async def publish(bus: ZenohBus) -> None:
-        batched = bus.publish("m/b", within=0.02)
-        assert isinstance(batched, BatchingPublisher)
-        batched.put(b"0", b"y")
+        bus.publish("m/b", within=0.02).put_later(bytes, b"0")
         assert wire.publisher.sent == []
-        await asyncio.sleep(0.02)
-        assert wire.publisher.sent == [(b"0", b"y")]
+        await asyncio.sleep(0.021)
+        assert wire.publisher.sent == [(b"0", None)]
         wire.publisher = Declared()
         outlet, declared = bus.publish("m/a"), wire.publisher
         wanted = []
