@@ -444,7 +444,7 @@ async def at_once(front: Any, chance: random.Random) -> None:
             front.aircraft.return_to_f()
 
 
-CLIENTS: tuple[type[Front], ...] = (
+CLIENTS: tuple[type[Any], ...] = (
     *(Console, Rosbridge, Rosbridge2015, Rosbridge2016, Mavlink, Ros2, FarConsole),
 )
 """Those whose user is not the block of control: a program that leaves its block has said how."""
@@ -455,7 +455,7 @@ CLIENTS: tuple[type[Front], ...] = (
 @pytest.mark.parametrize("order", ["land", "go home", "STOP"])
 @pytest.mark.parametrize("one", CLIENTS, ids=lambda front: front.__name__)
 async def test_an_order_that_ends_a_flight_outlives_its_client(
-    one: type[Front], order: str, phase: str
+    one: type[Any], order: str, phase: str
 ) -> None:
     """Its client leaves at once; the aircraft comes down, or hovers, and obeys nobody then."""
     chance, front = random.Random(f"{one.__name__} {order} {phase}"), one()

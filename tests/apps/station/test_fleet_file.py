@@ -299,8 +299,12 @@ def the_rights(patch: pytest.MonkeyPatch, folder: Path) -> Rights:
         (rights.pki / f"{name}.signing.key").write_text("")
     patch.setattr(module, "read_signer", lambda _, name: signer_of(rights, name))
     patch.setattr(module, "listed", lambda _: [])
-    patch.setattr(module, "signing", lambda signer: signer)
     patch.setattr(module, "tls_options", lambda *what, **more: {"tls": str((what[1], more))})
+
+    def known(_: Path, who: str, rights: Rights) -> dict[str, Any]:
+        return {"tls": str((who, {})), "sign": signer_of(rights, who)}
+
+    patch.setattr(module, "credentials", known)
     lists = SimpleNamespace(of_folder=lambda *_: SimpleNamespace(number=5, since="since"))
     patch.setattr(module, "Revocations", lists)
     return rights
@@ -561,7 +565,7 @@ def test_an_agent_of_a_file_is_lost_as_the_file_says(
     assert (own.connect, own.site) == (rights.endpoints, "site")
     seals: Any = own.seals
     assert (seals, own.options) == ({"a1": "seal of a1"}, {"tls": "('a1', {})"})
-    assert own.authority is own.revocations is not None
+    assert own.revocations is not None
     verify: Any = own.verify
     assert verify[:2] == (rights, ["a1"])
     assert verify[3] == "since"
@@ -658,5 +662,5 @@ def test_a_part_runs_as_its_kind(
     else:
         (_, endpoints, how), (_, (bus, settings), _) = began
         assert (endpoints, how["name"], how["site"]) == (rights.endpoints, "bert", "site")
-        assert (how["sign"].name, how["options"]) == ("bert", {"tls": "('bert', {})"})
+        assert (how["sign"].name, how["tls"]) == ("bert", "('bert', {})")
         assert (bus, settings.console_port) == ("the fleet", 8017)

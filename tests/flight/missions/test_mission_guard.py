@@ -439,7 +439,7 @@ async def test_who_flies_what_is_owed_and_who_is_told(
         assert guard.detach_any() is MissionKind.HOTPOINT
         assert guard.is_detached
         assert await guard.stop_any() is MissionKind.HOTPOINT
-        assert not guard.is_detached, "what was stopped is not left in flight"
+        assert not beside.guard.is_detached, "what was stopped is not left in flight"
         assert beside.sent == [hotpoint.resumption, hotpoint.stop]
     else:
         with pytest.raises(UsageError, match="no mission flies"):
@@ -489,7 +489,7 @@ DONE = {
 
 
 @pytest.mark.parametrize("what", DONE)
-async def test_each_answer_to_an_order_is_a_yes_or_a_refusal(what: str) -> None:
+async def test_each_answer_to_an_order_is_a_yes_or_a_refusal(what: Any) -> None:
     for code in MissionCode:
         beside = Beside(None, is_pushed=True)
         beside.answer = code

@@ -90,15 +90,8 @@ def console_app(
         key, tab = tabs.open(aircraft, moved)
         client.on_delete(lambda: tabs.close(key))
         _wait_to_hear(client, unheard)
-        shell = Page(
-            tab.agent,
-            tab,
-            orders.get(tab.aircraft),
-            tiles=tiles,
-            video=videos.get(tab.aircraft),
-            history_of=history_of,
-            tabs=tabs,
-        )
+        more: Any = {"tiles": tiles, "video": videos.get(tab.aircraft), "tabs": tabs}
+        shell = Page(tab.agent, tab, orders.get(tab.aircraft), history_of=history_of, **more)
         await shell.build(key)
 
     # Quasar would draw a bar over the line of state for each request behind the page, and a bar

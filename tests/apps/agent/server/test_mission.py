@@ -100,7 +100,7 @@ async def test_a_hover_in_the_turn_of_the_loop_in_which_a_mission_is_asked_for_e
 class Script(MissionFlight):
     """Begins, tells its events, and then ends well, badly, or not at all."""
 
-    is_unstopped = False  # type: ignore[assignment] # a property of the other one
+    is_unstopped = False
 
     def __init__(self, *told: MissionEvent | M100Error | None, fails: M100Error | None) -> None:
         self.told, self.fails, self.stops = list(told), fails, 0
@@ -144,6 +144,7 @@ class Journal:
         self.topics.append(topic)
 
 
+ANY_FLIGHT: Any = MissionFlight
 WHAT = "mission of 2 waypoints"
 BEGINS = ("info", f"a {WHAT} begins")
 LANDS, HOVERS = AtEnd.LAND, AtEnd.HOVER
@@ -162,7 +163,7 @@ def of_two(at_end: AtEnd = HOVERS) -> WaypointPlan:
 
 
 BROKEN = M100Error("it broke off")
-ENDS: list[tuple[list[Any], AtEnd, str, str, list[tuple[str, str]]]] = [
+HOW_ONE_ENDS: list[tuple[list[Any], AtEnd, str, str, list[tuple[str, str]]]] = [
     # What it tells (None: it waits), its end, what its client does, its outcome, and the journal.
     (
         [Reached(0), Finished()],
@@ -212,7 +213,7 @@ ENDS: list[tuple[list[Any], AtEnd, str, str, list[tuple[str, str]]]] = [
 
 
 @pytest.mark.anyio
-@pytest.mark.parametrize(("told", "at_end", "act", "outcome", "notes"), ENDS)
+@pytest.mark.parametrize(("told", "at_end", "act", "outcome", "notes"), HOW_ONE_ENDS)
 async def test_how_a_mission_ends_and_what_is_said(
     told: list[Any], at_end: AtEnd, act: str, outcome: str, notes: list[tuple[str, str]]
 ) -> None:
@@ -241,7 +242,7 @@ async def test_how_a_mission_ends_and_what_is_said(
     assert [topic for topic in journal.topics if topic is not EventTopic.NONE] == aborted
     assert events == [event for event in told if event is not None and event is not BROKEN]
     with pytest.raises(UsageError, match="no mission flies"):
-        one.flight(MissionFlight)
+        one.flight(ANY_FLIGHT)
 
 
 @pytest.mark.anyio
@@ -249,12 +250,13 @@ async def test_one_that_could_not_begin_has_no_end_to_wait_for() -> None:
     one, journal, _ = scripted(Script(fails=M100Error("on the ground")))
     beginning = asyncio.create_task(one.start(of_two()))
     await asyncio.sleep(0.0)
-    assert one.task is Task.TAKE_OFF
+    assert one.task == Task.TAKE_OFF
     with pytest.raises(UsageError, match="has not begun yet"):
-        one.flight(MissionFlight)
+        one.flight(ANY_FLIGHT)
     with pytest.raises(M100Error, match="on the ground"):
         await beginning
-    assert (one.is_flying, one.task) == (False, None)
+    assert not one.is_flying
+    assert not one.task
     assert journal.notes == [("error", f"the {WHAT} ended: on the ground")]
     assert journal.topics == [EventTopic.NONE], "nothing that flew was broken off"
 
