@@ -362,45 +362,46 @@ def test_how_it_is_connected(
 # -- a fleet --------------------------------------------------------------------------------------
 
 
+def noted_aircraft(notes: Notes, name: str) -> Any:
+    @asynccontextmanager
+    async def control(*, take_over: bool = False) -> AsyncIterator[Any]:
+        notes.note(f"{name}.control", take_over=take_over)
+        steps = notes.awaited(None, "fly_to")
+
+        def waypoint_mission(plan: Any, **how: object) -> Any:
+            assert plan == short_plan()
+            notes.note(f"{name}.waypoint_mission", **how)
+            return Flown()
+
+        steps["waypoint_mission"] = waypoint_mission
+        yield SimpleNamespace(fence=7, proof=(7, "secret"), **steps)
+        notes.note(f"{name}.released")
+
+    def fetch_log(log: str, to: Path, progress: Any) -> Any:
+        progress(5, 9)
+        path = Path(f"{name}-{log or 'newest'}")
+        return notes.awaited(Fetched(name, log, path, 9, 4, True), f"{name}.fetch_log")[
+            f"{name}.fetch_log"
+        ](log, to)
+
+    card = MissionCard(name, "run", MissionStage.FLYING, points=4, reached=b"\0\1\0")
+    return SimpleNamespace(
+        name=name,
+        control=control,
+        fetch_log=fetch_log,
+        asker=SimpleNamespace(**notes.awaited(None, "ask")),
+        audit=f"the log of {name}",
+        bus="bus",
+        keys=f"keys of {name}",
+        stop=notes.awaited(None, f"{name}.stop")[f"{name}.stop"],
+        mission=notes.awaited(replace(card, index=2, elapsed_s=61.4, distance_m=12.6), "mission")[
+            "mission"
+        ],
+    )
+
+
 def fleet_of(notes: Notes) -> Any:
     """A fleet of two that notes what each is asked for."""
-
-    def aircraft(name: str) -> Any:
-        @asynccontextmanager
-        async def control(*, take_over: bool = False) -> AsyncIterator[Any]:
-            notes.note(f"{name}.control", take_over=take_over)
-            steps = notes.awaited(None, "fly_to")
-
-            def waypoint_mission(plan: Any, **how: object) -> Any:
-                assert plan == short_plan()
-                notes.note(f"{name}.waypoint_mission", **how)
-                return Flown()
-
-            steps["waypoint_mission"] = waypoint_mission
-            yield SimpleNamespace(fence=7, proof=(7, "secret"), **steps)
-            notes.note(f"{name}.released")
-
-        def fetch_log(log: str, to: Path, progress: Any) -> Any:
-            progress(5, 9)
-            path = Path(f"{name}-{log or 'newest'}")
-            return notes.awaited(Fetched(name, log, path, 9, 4, True), f"{name}.fetch_log")[
-                f"{name}.fetch_log"
-            ](log, to)
-
-        card = MissionCard(name, "run", MissionStage.FLYING, points=4, reached=b"\0\1\0")
-        return SimpleNamespace(
-            name=name,
-            control=control,
-            fetch_log=fetch_log,
-            asker=SimpleNamespace(**notes.awaited(None, "ask")),
-            audit=f"the log of {name}",
-            bus="bus",
-            keys=f"keys of {name}",
-            stop=notes.awaited(None, f"{name}.stop")[f"{name}.stop"],
-            mission=notes.awaited(
-                replace(card, index=2, elapsed_s=61.4, distance_m=12.6), "mission"
-            )["mission"],
-        )
 
     async def each(do: Any, names: Any) -> dict[str, Any]:
         found = {}
@@ -410,13 +411,13 @@ def fleet_of(notes: Notes) -> Any:
                 notes.note(f"{name}.{order.__name__}")
                 value: Any = [LogEntry("one.mcap", 1_500_000, 1_700_000_000.0, name == "a2")]
             else:
-                value = await do(aircraft(name))
+                value = await do(noted_aircraft(notes, name))
             found[name] = Result.of(name, None, value)
         return found
 
     class There(SimpleNamespace):
         def __getitem__(self, name: str) -> Any:
-            return aircraft(name)
+            return noted_aircraft(notes, name)
 
     async def present() -> list[str]:
         return ["a1", "a2"]

@@ -1336,6 +1336,20 @@ def test_settings_that_are_dangerous_are_told(
     assert bool(written.getvalue()) is bool(says)
 
 
+class Virtual:
+    """As much of a virtual aircraft as the line for programs has."""
+
+    autopilot = SimpleNamespace(profile=PROFILES["3.1"])
+    credentials = SimpleNamespace(app_id=9, level=1)
+    vehicle = SimpleNamespace(serial_number="S1")
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+
+    def __str__(self) -> str:
+        return self.name
+
+
 @pytest.mark.parametrize("fails", [False, True])
 @pytest.mark.parametrize("has_scenario", [False, True])
 async def test_a_simulator_ends_all_that_it_began(
@@ -1373,19 +1387,7 @@ async def test_a_simulator_ends_all_that_it_began(
     ):
         monkeypatch.setattr(sim, name, fake)
 
-    class Virtual(SimpleNamespace):
-        def __str__(self) -> str:
-            return str(self.name)
-
-    aircraft = [
-        Virtual(
-            name=name,
-            autopilot=SimpleNamespace(profile=PROFILES["3.1"]),
-            credentials=SimpleNamespace(app_id=9, level=1),
-            vehicle=SimpleNamespace(serial_number="S1"),
-        )
-        for name in ("one", "two")
-    ]
+    aircraft = [Virtual(one) for one in ("one", "two")]
     plan: Any = SimpleNamespace(
         aircraft=aircraft, seed=5, duration=3.0, scenario=Path("s") if has_scenario else None
     )

@@ -209,13 +209,12 @@ class Shown(Given):
         return f"show shut out by {since}"
 
 
-@pytest.mark.parametrize("is_kept", [False, True])
-async def test_an_agent_of_a_fleet_has_what_the_settings_say(
-    is_kept: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def parts_that_are_given(
+    monkeypatch: pytest.MonkeyPatch,
+) -> tuple[dict[str, list[Any]], list[tuple[Any, dict[str, Any]]]]:
+    """What the parts of agents are made with, by kind, and how each aircraft is owned."""
     made: dict[str, list[Any]] = {}
     owned: list[tuple[Any, dict[str, Any]]] = []
-    told: list[tuple[str, str]] = []
 
     def making(kind: type[Any], name: str) -> Any:
         def make(*what: Any, **more: Any) -> Any:
@@ -245,6 +244,15 @@ async def test_an_agent_of_a_fleet_has_what_the_settings_say(
     monkeypatch.setattr(module, "FleetAgent", making(OwnedAgent, "FleetAgent"))
     for name, fake in (("owning", owning), ("AgentClient", client), ("open_fleet", open_fleet)):
         monkeypatch.setattr(module, name, fake)
+    return made, owned
+
+
+@pytest.mark.parametrize("is_kept", [False, True])
+async def test_an_agent_of_a_fleet_has_what_the_settings_say(
+    is_kept: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made, owned = parts_that_are_given(monkeypatch)
+    told: list[tuple[str, str]] = []
     revocations: Any = SimpleNamespace(since="since")
     seal: Any = SimpleNamespace(audit="seal")
     verify: Any = "verify"

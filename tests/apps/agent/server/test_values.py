@@ -508,6 +508,7 @@ async def test_what_an_agent_notes_in_the_log_of_a_flight() -> None:
     for holder, at in ((None, 12.0), (Lease("anna", "token", 3), 13.0)):
         agent.leases.holder.return_value, agent.now = holder, at
         agent.holding.on_change[0](HoldingState.HELD, HoldingState.RELEASING)
+    way = [(52.0, 4.3, 10.0), (52.001, 4.3, 10.0)]
     changed = {"event": "control", "before": HoldingState.HELD, "after": HoldingState.RELEASING}
     assert take() == [
         {"event": "early", "number": 1, "earlier_s": 3.0, "at": 10.0},
@@ -515,12 +516,7 @@ async def test_what_an_agent_notes_in_the_log_of_a_flight() -> None:
         {"event": "lease", "why": "in force", "number": 3, "holder": "anna", "at": 10.0},
         {"event": "plan", "name": "", "waypoints": [], "at": 10.0},
         {"event": "journal", "level": "warning", "text": "wind", "topic": ANY, "at": 10.5},
-        {
-            "event": "plan",
-            "name": "field",
-            "waypoints": [(52.0, 4.3, 10.0), (52.001, 4.3, 10.0)],
-            "at": 11.0,
-        },
+        {"event": "plan", "name": "field", "waypoints": way, "at": 11.0},
         {
             "event": "lease",
             "why": LeaseChange.EXPIRED,

@@ -145,6 +145,17 @@ def agent_named(works: list[str]) -> Any:
     return SimpleNamespace(background=SimpleNamespace(spawn=spawn))
 
 
+def noting_page(made: list[tuple[tuple[Any, ...], dict[str, Any]]]) -> type[Any]:
+    class Page:
+        def __init__(self, *what: Any, **more: Any) -> None:
+            made.append((what, more))
+
+        async def build(self, key: str) -> None:
+            made[-1][1]["key"] = key
+
+    return Page
+
+
 async def test_a_page_is_given_its_aircraft_and_what_was_flown(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -154,13 +165,6 @@ async def test_a_page_is_given_its_aircraft_and_what_was_flown(
     works: list[str] = []
     pages: list[Any] = []
     middle: list[tuple[Any, Any]] = []
-
-    class Page:
-        def __init__(self, *what: Any, **more: Any) -> None:
-            made.append((what, more))
-
-        async def build(self, key: str) -> None:
-            made[-1][1]["key"] = key
 
     given = SimpleNamespace(
         config=SimpleNamespace(quasar_config={"loadingBar": {}}),
@@ -175,7 +179,7 @@ async def test_a_page_is_given_its_aircraft_and_what_was_flown(
 
     ui = SimpleNamespace(page=page_at, run_with=lambda app, **how: ran.append((app, how)))
     for name, fake in (
-        *(("nicegui_app", given), ("ui", ui), ("Page", Page)),
+        *(("nicegui_app", given), ("ui", ui), ("Page", noting_page(made))),
         ("core", SimpleNamespace(sio=heard)),
     ):
         monkeypatch.setattr(module, name, fake)
