@@ -522,6 +522,7 @@ ORDERS = [
         "a1: lease 7, until Ctrl-C",
     ),
     ("list", [], "a10   connected         10.0 m"),
+    ("list --json", [], '{"name": "a1"}\n'),
     ("watch a1 --json", ["hear('bus', 'a1', full=True)", "closed()"], '"battery": {"percent"'),
     ("monitor --json", ["hear('bus', 'all', full=False)"], ""),
 ]
