@@ -236,6 +236,7 @@ class Kinds:
         self._fields = {kind.__name__: Fields(kind) for kind in kinds}
 
     def write(self, value: Any) -> dict[str, Any]:
+        """As :meth:`Fields.write`, with the name of its class."""
         name = type(value).__name__
         return {"kind": name, **self._fields[name].write(value)}
 
