@@ -269,6 +269,9 @@ async def test_a_circle_around_a_place_goes_through_here_and_looks_at_it(
     bearing = math.degrees(math.atan2(center[1], center[0]))
     assert (name, values[3]) == ("orbit", near(bearing, abs=0.01))
     assert progress.distance_m == near(0.0, abs=1e-3)
+    begun, there = Loops(), bearing + 180.0  # seen from the centre, it is there already
+    await begun.loops.orbit(center_north=north, center_east=east, frame=frame, start_deg=there)
+    assert [one[0] for one in begun.runs] == ["orbit"]
 
 
 @pytest.mark.parametrize("face_ahead", [False, True])

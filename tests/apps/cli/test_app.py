@@ -265,8 +265,6 @@ HOMONYMS = {
     "--level": "the registration's, and the one that is asked for",
     "--link": "of a pseudo-terminal anywhere, of a serial port in /dev",
     "--listen": "addresses have the form of their protocol",
-    "--max-height": "that of each aircraft of a show",
-    "--max-radius": "a show begins on the ground, a flight anywhere",
     "--name": "of the aircraft, in the fleet and in the configuration file",
     "--output": "a file or a folder, as the verb makes them",
     "--rate": "so many a second: packages, requests, rows",
