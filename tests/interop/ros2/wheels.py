@@ -1,13 +1,14 @@
 """A ROS 2 of wheels in a folder, with m100link and its messages: ``python wheels.py FOLDER NAME``.
 
 rosidl makes ``m100_msgs`` there by cmake, as colcon would. No wheel has ``tf2_msgs``: its one
-message is made as well.
+message is made as well. It prints the variables of that environment, for a shell to read.
 """
 
 from __future__ import annotations
 
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -110,3 +111,6 @@ def build(folder: Path, source: Path) -> None:
 
 if __name__ == "__main__":
     make(Path(sys.argv[1]).absolute(), sys.argv[2])
+    for variable, value in environment(Path(sys.argv[1]).absolute()).items():
+        if value != os.environ.get(variable):
+            print(f"export {variable}={shlex.quote(value)}")  # noqa: T201 - for a shell to read
