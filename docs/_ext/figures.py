@@ -87,35 +87,6 @@ class Rows(FiguresDirective):
         return lines if has_before else [drop_before(line) for line in lines]
 
 
-# What the goals name as reached when they were set; by inference, by the tree of "before".
-_THERE = {
-    "frame decode, one per feed, other codec ÷ ours": 0.95,
-    "telemetry untouched, pymavlink ÷ ours": 6.8,
-    "telemetry flat row, pymavlink ÷ ours": 4.9,
-    "telemetry twelve records, pymavlink ÷ ours": 2.4,
-    "AES telemetry row, other codec's decoding ÷ ours": 2.5,
-    "movement command, pymavlink ÷ ours": 3.3,
-    "bytes → consumer, pymavlink's parsing ÷ ours": 1.1,
-    "worst hostile input ÷ a 921600 line": 14.0,
-}
-
-
-class Carried(FiguresDirective):
-    """What the gain of the run makes of the figures of the machine where the goals were set."""
-
-    def rows(self) -> Iterable[Sequence[str]]:
-        """One row per goal that is known from there; empty without the other tree."""
-        yield "", "Must", "That tree there", "That tree here", "Now here", "Gain", "Carried over"
-        for row in self.chosen("rows"):
-            there = _THERE.get(row["name"])
-            if there is None or not row["before"]:
-                continue
-            before, now = row["before"]["median"], row["now"]["median"]
-            gain = now / before
-            figures = (row["must"], there, before, now, gain, there * gain)
-            yield (row["name"], *(f"{figure:.3g}" for figure in figures))
-
-
 class CostsTable(FiguresDirective):
     """What each side cost."""
 
@@ -133,6 +104,5 @@ def setup(app: Sphinx) -> dict[str, Any]:
     """Called by Sphinx."""
     app.add_directive("benchmark-machine", Machine)
     app.add_directive("benchmark-rows", Rows)
-    app.add_directive("benchmark-carried", Carried)
     app.add_directive("benchmark-costs", CostsTable)
     return {"version": "1", "parallel_read_safe": True, "parallel_write_safe": True}
