@@ -93,6 +93,7 @@ _REASONS: dict[str, tuple[str, ...]] = {
         "apps/fleet/pki.py listed",
         "apps/station/ros/messages.py _base64",
         "protocol/items.py ItemLayout.__post_init__",
+        "protocol/items.py ItemLayout.span",
         "wire/crc.py _sequence_crc16",
     ),
     "a bare conversion that cannot fail, or as another reader that has a target": (
@@ -102,6 +103,7 @@ _REASONS: dict[str, tuple[str, ...]] = {
         "apps/doctor/line.py _text",
         "apps/doctor/machine.py Machine.is_left_alone",
         "link/transport.py port_owners",
+        "telemetry/sample.py _values",
     ),
     "the simulator's answer, which the account that asks runs": ("sim/orders.py send_order",),
 }

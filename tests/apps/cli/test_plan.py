@@ -182,7 +182,7 @@ def test_forty_columns_are_enough(
 
 
 def test_a_terminal_without_unicode_and_a_reader_that_leaves(file: str) -> None:
-    shown = f"{sys.executable} -m m100link plan show {file}"
+    shown = f"{sys.executable} -m m100link plan show {file} --table"
     done = subprocess.run(
         ["sh", "-c", f"{shown}; {shown} | head -1; echo $?"],
         capture_output=True,

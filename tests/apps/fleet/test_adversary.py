@@ -524,6 +524,7 @@ async def test_no_operator_believes_an_adversary(rig: Rig, keys: Keyring, seed: 
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:Parsed a serial number which wasn't positive")  # of a lie
 @pytest.mark.parametrize("seed", range(101, 121))
 async def test_no_operator_believes_an_adversary_in_10_000_cases(
     rig: Rig, keys: Keyring, seed: int
