@@ -13,7 +13,7 @@ subscription of ``async for`` takes every package. pymavlink parses and counts, 
 
 Another row is of one aircraft and its agent: what a signature and the audit log cost ``stop``. Two
 agents hear it by turns, of which one verifies and logs; CPU of the thread, from the bytes of the
-order until the aircraft is told.
+order until its agent passes it on.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ BARE = f"{AIRCRAFT} aircraft, per package"
 TASKS = f"{AIRCRAFT} aircraft with a task each, per package"
 PEER = f"{AIRCRAFT} pymavlink parsers, per message"
 STOPS = 200
-STOP = "stop of a fleet, until the aircraft is told"
+STOP = "stop of a fleet, until its agent passes it on"
 
 Receive = Callable[[bytes], None]
 

@@ -320,7 +320,7 @@ def connected(there: ForeignAircraft) -> sync.Aircraft:
 
 
 class Door(SimpleNamespace):
-    """A portal whose calls that wait end as they are told; ``steps``: what it was asked."""
+    """A portal whose waiting calls end as the test says; ``steps`` has what the block asked."""
 
     def __init__(self, *ends: BaseException | None) -> None:
         super().__init__(ends=list(ends), steps=list[str](), is_open=True)

@@ -308,7 +308,7 @@ def test_a_session_without_router_and_peer_is_alone(
 @pytest.mark.parametrize(
     ("mode", "text", "kind", "seen", "remedy"),
     [
-        ("client", "nobody at /root/a.rs:7", NoRouter, "no router answered: nobody", "start one"),
+        ("client", "nobody at /src/a.rs:7", NoRouter, "no router answered: nobody", "start one"),
         ("router", "no such host", UsageError, "no router can be here: no such host", "look"),
         ("router", "address in use", PortBusy, "no router can be here: address in use", "look"),
         ("peer", "address in use", UsageError, "no session of zenoh: address in use", "look"),

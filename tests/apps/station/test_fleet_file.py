@@ -365,7 +365,7 @@ def test_a_card_tells_its_faults(
 def test_certificates_and_keys_tell_their_faults(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """Of strangers beside the file nothing is told, and keys may be on other machines."""
+    """The doctor reports no strangers beside the file; keys may be on other machines."""
     rights = the_rights(monkeypatch, tmp_path)
     now = datetime.now(UTC)
     late, soon = now - timedelta(seconds=1), now + timedelta(days=1)
@@ -495,7 +495,7 @@ class Seen(SimpleNamespace):
     ("there", "faults", "proved"),
     [
         ([{"a1": 1, "a2": 1}] * 2, [], 10),
-        # Each agent that is named twice is told once, by whomever it was seen.
+        # The doctor reports a double name once, however many operators see it.
         ([{"a1": 1, "a2": 2}] * 2, [("duplicate name", "a2")], 10),
         ([{"a1": 1}] * 2, [("cut leg", "a2")], 6),
         ([{"a1": 1}, {"a1": 1, "a2": 1}], [("two routers not linked", "base")], 8),
@@ -572,7 +572,7 @@ def test_an_agent_of_a_file_is_lost_as_the_file_says(
 
 
 class FakeChild(SimpleNamespace):
-    """A process that is told what to do."""
+    """A process that reads its orders from its standard input."""
 
     def __init__(self, role: str, name: str, request: dict[str, Any], note: Any) -> None:
         super().__init__(role=role, name=name, request=request, note=note, answer={"runs": name})

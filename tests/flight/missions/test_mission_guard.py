@@ -354,7 +354,7 @@ async def test_a_stop_that_is_carried_out_waits_for_two_pushes_only() -> None:
 
 
 class Ours:
-    """A waypoint mission in a state, and what it is told."""
+    """A waypoint mission in a state; ``told`` has the orders that it gets."""
 
     kind, name, started_at = MissionKind.WAYPOINT, MissionKind.WAYPOINT.value, 100.0
     flies_all_the_same = False

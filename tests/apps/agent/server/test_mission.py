@@ -94,7 +94,7 @@ async def test_a_hover_in_the_turn_of_the_loop_in_which_a_mission_is_asked_for_e
         flying.steer(Setpoint.velocity(north=1.0, east=0.0, up=0.0, yaw_rate_deg_s=0.0))
 
 
-# -- how one ends, and what is said then: by a mission that does as it is told ---------------------
+# -- how a mission ends, and what the agent says then: a mission that follows a script -------------
 
 
 class Script(MissionFlight):
