@@ -482,7 +482,9 @@ def test_it_is_flown_in_a_with_block_and_reported_in_a_loop() -> None:
                 events = [e for e in mission if not isinstance(e, MissionProgress)]
         assert [event.index for event in events if isinstance(event, Reached)] == [0, 1]
         assert events[-1] == Finished()
-        assert len(uploading) == 2
+        # A callback that is late gets the newest step alone.
+        assert uploading[-1] == Uploading(index=1, total=2)
+        assert uploading[:-1] in ([], [Uploading(index=0, total=2)])
         assert mission.is_over
 
 
