@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import re
-from asyncio import sleep, wait_for
+from asyncio import ensure_future, sleep, wait_for
 from collections.abc import AsyncIterator, Callable
 from contextlib import AsyncExitStack, asynccontextmanager, suppress
 from random import Random
@@ -139,7 +139,8 @@ async def raised(method: Any, call: Callable[[Any], Any], firmware: str, state: 
         try:
             answer = call(one)
             if inspect.isawaitable(answer):
-                await wait_for(answer, 5.0)  # it flies: no error came
+                # A task of its own: a block that is entered and never left would end this one.
+                await wait_for(ensure_future(answer), 5.0)  # it flies: no error came
         except errors.M100Error as error:
             return error
         except TimeoutError:
