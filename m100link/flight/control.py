@@ -495,11 +495,8 @@ class Control:
             with watch, self._block.waiting(what):
                 await run_task(self._commander, task, timeout=timeout, progress=progress)
             self._unended_task = None
-        except TaskFailed:
-            self._unended_task = None
-            raise
-        except TaskRefused:  # because an earlier task still runs, perhaps
-            self._unended_task = before
+        except (TaskFailed, TaskRefused) as error:  # refused: an earlier task still runs, perhaps
+            self._unended_task = before if isinstance(error, TaskRefused) else None
             raise
         finally:
             self._steering.running_task = None
@@ -514,5 +511,6 @@ class Control:
                 f"{what} was asked for during {task_name(running)}",
                 remedy="await one task before the next",
             )
+        self._guidance.interrupt()  # a loop ends also where the order is refused at once
         # Not silence: the aircraft may refuse the order, and fly on by what it heard last.
         self._setpoints.neutralise()

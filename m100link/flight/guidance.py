@@ -267,7 +267,7 @@ class Guidance:
         return Arrival(elapsed, found.distance_m, found.height_error_m, found.heading_error_deg)
 
     def _not_arrived(self, name: str, timeout: float, found: GuidanceProgress) -> NotObserved:
-        end, cause = "was stopped", "stop() was called while it flew"
+        end, cause = "was stopped", "stop() or a task was called while it flew"
         if is_on_ground(self._state):
             end = "ended on the ground"
             cause = "the aircraft landed: by the pilot, a low battery, or a height near 0"

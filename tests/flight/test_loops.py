@@ -27,6 +27,7 @@ from m100link import (
     Position,
     Setpoint,
     SetpointsIgnored,
+    TaskRefused,
     TelemetryStalled,
     UsageError,
 )
@@ -333,8 +334,8 @@ async def test_nothing_else_steers_while_a_loop_flies(name: str, loop: Loop) -> 
 
 
 @LOOPS
-async def test_stop_ends_the_loop_that_flies(name: str, loop: Loop) -> None:
-    """Otherwise its next setpoint would come 20 ms later."""
+async def test_stop_and_a_task_end_the_loop_that_flies(name: str, loop: Loop) -> None:
+    """Otherwise its next setpoint would come 20 ms later; a task ends it although it is refused."""
     async with flying() as (flown, control):
         flight = asyncio.ensure_future(loop(control))
         await asyncio.sleep(1.0)
@@ -344,6 +345,12 @@ async def test_stop_ends_the_loop_that_flies(name: str, loop: Loop) -> None:
         await asyncio.sleep(0.5)
         flown.assert_stopped_in_order()
         await flown.assert_hovers()
+        flight = asyncio.ensure_future(loop(control))
+        await asyncio.sleep(0.2)
+        with pytest.raises(TaskRefused, match="take off was refused"):
+            await control.take_off()
+        with pytest.raises(NotObserved, match=f"{name} was stopped"):
+            await flight
         await control.climb_to(3.0)
 
 
