@@ -270,9 +270,7 @@ def check(show: Show, envelope: Envelope | None = None) -> Report:
         show: The show.
         envelope: Envelope of the agents' guards; by default that of :class:`m100link.Guards`.
     """
-    problems = [
-        problem for track in show.tracks for problem in _alone(track, envelope or Envelope())
-    ]
+    problems = [*chain.from_iterable(_alone(one, envelope or Envelope()) for one in show.tracks)]
     windows, there = Windows(show.tracks), places(show)
     problems += _together(show, windows)
     return Report(tuple(problems), tuple(_remarks(show, there)), _closest(show, windows, there))
@@ -428,19 +426,21 @@ def _spot(spot: Vector, has_ended: bool) -> Box:
 
 
 def _remarks(show: Show, there: Sequence[Places]) -> Iterator[str]:
-    """Aircraft above others: one that fails falls on whatever is below."""
+    """Ground that is not level, and aircraft above others: one that fails falls on them."""
+    if any(ground := [track.ground_m for track in show.tracks]):
+        points = f"take-off points are {min(ground):g} to {max(ground):g} m above the origin"
+        yield f"{points}: on level ground the heights are wrong"
     reported: set[tuple[int, int]] = set()
     for at, spots in there:
         boxes = [_spot((*spot[:2], 0.0), has_ended=True) for spot in spots]
         for i, j in sorted(overlapping(boxes, show.least_distance_m + SPARE_M)):
-            upper, lower = (i, j) if spots[i][2] > spots[j][2] else (j, i)
+            pair = (i, j) if spots[i][2] > spots[j][2] else (j, i)
             is_near = math.dist(spots[i][:2], spots[j][:2]) < show.least_distance_m
-            if is_near and (upper, lower) not in reported:
-                reported.add((upper, lower))
-                yield (
-                    f"{show.tracks[upper].name} is above {show.tracks[lower].name} at {at:.1f} s: "
-                    "if it fails or lands there, it falls on it"
-                )
+            if is_near and pair not in reported:
+                reported.add(pair)
+                upper, lower = (show.tracks[one].name for one in pair)
+                words = "if it fails or lands there, it falls on it"
+                yield f"{upper} is above {lower} at {at:.1f} s: {words}"
 
 
 # -- A show as a picture ---------------------------------------------------------------------------

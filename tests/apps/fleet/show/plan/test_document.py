@@ -568,6 +568,8 @@ def test_a_track_in_csv_is_a_show(tmp_path: Path) -> None:
     assert show.tracks[0].moment(10.0).place == pytest.approx((3.5, 2.0, 14.0), abs=0.01)
     report = check(show)
     assert report.ok, report.problems
+    [remark] = report.remarks  # its first row may have been in the air
+    assert remark.startswith("take-off points are 10 to 10 m above the origin: on level ground")
 
 
 @pytest.mark.parametrize(
