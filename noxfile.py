@@ -105,7 +105,8 @@ def sphinx(builder: str) -> Line:
 def marked(mark: str) -> list[str]:
     """Files with tests of a mark: to read all of them would take each process ten seconds."""
     files = sorted(Path("tests").rglob("test_*.py"))
-    return [str(path) for path in files if f"pytest.mark.{mark}" in path.read_text("utf-8")]
+    line = re.compile(rf"^ *(@|pytestmark\b.*\b)pytest\.mark\.{mark}\b", re.MULTILINE)
+    return [str(path) for path in files if line.search(path.read_text("utf-8"))]
 
 
 def elsewhere(*folders: str) -> list[str]:
@@ -123,6 +124,11 @@ PROGRAMS = sorted(
     (*(str(path) for path in Path("examples").glob("*.py")), "examples/mavlink/square.py"),
     key=lambda path: (path != "examples/survey_with_photos.py", path),
 )
+# They wait for terminals, processes and a browser more than they compute; each has a process of
+# its own, as workers would read all of these files each. The longest begin first.
+LONG = ("cli/test_demo.py", "cli/test_fleet.py", "browser/test_flying.py", "processes.py")
+LONG += ("supervising_pty.py", "test_dropped.py", "sync/test_control.py")
+SMOKE = sorted(marked("smoke"), key=lambda path: not path.endswith(LONG))
 
 KINDS = {
     "lint": Kind(
@@ -155,8 +161,7 @@ KINDS = {
             "tests": [pytest(*QUICK, *VIRTUAL, *elsewhere("tests/apps"))],
             "tests of fronts": [pytest(*QUICK, "tests/apps", *elsewhere(*AIRBORNE))],
             "tests of agents": [pytest(*QUICK, *AIRBORNE)],
-            # They wait for terminals, processes and a browser more than they compute.
-            "smoke tests": [pytest(*workers(6), "-m", "smoke", *marked("smoke"))],
+            **{path: [pytest(*ALONE, "-m", "smoke", path)] for path in SMOKE},
         },
         groups=("test", "browser", "interop"),
     ),
@@ -188,8 +193,8 @@ KINDS = {
 # import, and the type checkers, which import nothing, are beside them meanwhile.
 DEFAULT = ("types", "quick", "docs", "lint")
 FULL = ("tests", "types", "manual", "lint", "browser", "examples", "interop")
-# What flies in real time, and how many at once. Each of the first takes what it can get.
-LANES = ((("smoke tests", "tests (pty)", "browser"), 1), ((*PROGRAMS, "interop"), 2))
+# What flies in real time, and how many at once. Each of the second takes what it can get.
+LANES = ((SMOKE, 6), (("tests (pty)", "browser"), 1), ((*PROGRAMS, "interop"), 2))
 
 
 @nox.session
