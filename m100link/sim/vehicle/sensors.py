@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import lru_cache
 from itertools import cycle
 from random import Random
+from typing import Any
 
 from m100link.geodesy import LocalFrame
 from m100link.protocol.firmware import FirmwareProfile
@@ -28,13 +30,21 @@ _ALL_ZERO = (0, 0, 0, 0, 0, 0)
 _TABLE = 4093  # prime, so that the columns of a packet do not repeat together
 
 
+@lru_cache(maxsize=4)
+def _table(state: Any) -> tuple[list[float], Any]:
+    """Noise by a generator in this state, and its state then; aircraft of one seed share it."""
+    (random := Random()).setstate(state)
+    table = [random.gauss(0.0, 1.0) for _ in range(_TABLE)]
+    return table + table[:_AXES], random.getstate()
+
+
 def noise_source(random: Random) -> Callable[[], list[float]]:
     """A function that returns three samples of normal noise of unit variance, one for each axis.
 
     Out of a table: repeatable, and ten times as fast as drawing each sample.
     """
-    table = [random.gauss(0.0, 1.0) for _ in range(_TABLE)]
-    table += table[:_AXES]
+    table, after = _table(random.getstate())
+    random.setstate(after)
     position = 0
 
     def sample() -> list[float]:
@@ -159,9 +169,8 @@ class Sensors:
     def _read_time(self) -> Values:
         # Nobody published how the nanoseconds of 3.1 relate to the tick; here they count the
         # same time within its second.
-        ticks = self.ticks
-        tick = ticks * self._tick_hz // STEPS_PER_SECOND & 0xFFFFFFFF
-        return tick, ticks % STEPS_PER_SECOND * 10_000_000, 0
+        tick = self.ticks * self._tick_hz // STEPS_PER_SECOND & 0xFFFFFFFF
+        return tick, self.ticks % STEPS_PER_SECOND * 10_000_000, 0
 
     def _read_quaternion(self) -> Values:
         motion, errors = self._motion, self._errors
@@ -204,11 +213,8 @@ class Sensors:
 
     def _read_velocity(self) -> Values:
         motion = self._motion
-        north, east, up = (
-            motion.velocity_north,
-            motion.velocity_east,
-            motion.velocity_up * self._down,
-        )
+        north, east, up = motion.velocity_north, motion.velocity_east, motion.velocity_up
+        up *= self._down
         status = 0
         if self._flight.gps_health >= GOOD_GPS:
             status = 0x07 if self._profile.velocity_names_sensor else 0x01  # 3 is GPS
@@ -239,13 +245,7 @@ class Sensors:
         else:
             latitude, longitude = self._site.to_geodetic(north, east)
         altitude = self._settings.ground_altitude + height
-        return (
-            latitude * _TO_RADIANS,
-            longitude * _TO_RADIANS,
-            altitude,
-            height,
-            flight.gps_health,
-        )
+        return latitude * _TO_RADIANS, longitude * _TO_RADIANS, altitude, height, flight.gps_health
 
     def _read_magnetometer(self) -> Values:
         motion = self._motion
