@@ -149,7 +149,7 @@ async def test_a_second_obtain_of_the_same_object_is_refused() -> None:
 async def test_a_task_under_way_raises_the_loss(firmware: str) -> None:
     async with rig(firmware=firmware) as flown:
         control = await flown.aircraft.control().obtain()
-        asyncio.get_running_loop().call_later(2.0, flown.virtual.leave_f)
+        asyncio.get_running_loop().call_later(2.005, flown.virtual.leave_f)
         with pytest.raises(AuthorityLost):
             await control.take_off()
         await control.release()  # the reason was raised: nothing is raised again

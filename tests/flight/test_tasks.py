@@ -145,7 +145,7 @@ async def test_a_task_that_the_pilot_interrupts_ends_the_block_as_a_loss() -> No
     async with rig() as flown:
         with pytest.raises(AuthorityLost):
             async with flown.aircraft.control() as control:
-                asyncio.get_running_loop().call_later(2.0, flown.virtual.leave_f)
+                asyncio.get_running_loop().call_later(2.005, flown.virtual.leave_f)
                 await control.take_off()
 
 
