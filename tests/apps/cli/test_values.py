@@ -167,6 +167,7 @@ def test_monitor_shows_ages_below_two_seconds_in_milliseconds(
 
 async def test_rates_are_packages_a_second(capsys: pytest.CaptureFixture[str]) -> None:
     async with rig(firmware="3.1") as flown:
+        await asyncio.sleep(2.0)  # over so long they are counted
 
         @asynccontextmanager
         async def connect() -> AsyncIterator[Any]:
