@@ -123,8 +123,10 @@ PROGRAMS = sorted(
 )
 # They wait for terminals, processes and a browser more than they compute; each has a process of
 # its own, as workers would read all of these files each. The longest begin first.
-LONG = ("cli/test_demo.py", "cli/test_fleet.py", "browser/test_flying.py", "processes.py")
-LONG += ("supervising_pty.py", "test_dropped.py", "sync/test_control.py")
+LONG = (
+    *("cli/test_demo.py", "cli/test_fleet.py", "browser/test_flying.py", "processes.py"),
+    *("supervising_pty.py", "test_dropped.py", "sync/test_control.py"),
+)
 SMOKE = sorted(marked("smoke"), key=lambda path: not path.endswith(LONG))
 
 KINDS = {
