@@ -226,12 +226,7 @@ def _urls(settings: Settings, sockets: Sockets, name: str) -> list[str]:
     front = FRONTS[name]
     is_secure = settings.tls_cert is not None and front.scheme != "tcp"
     scheme = front.scheme + ("s" if is_secure else "")
-    ports = sockets.ports(name)
-    return [f"{scheme}://{settings.authority(port)}{front.path}" for port in ports]
-
-
-_ALONE = ("console", "metrics", "foxglove")
-"""In JSON they are an address and no list of them."""
+    return [f"{scheme}://{settings.authority(n)}{front.path}" for n in sockets.ports(name)]
 
 
 def _announce(aircraft: dict[str, Settings], running: _Station) -> None:
@@ -244,7 +239,7 @@ def _announce(aircraft: dict[str, Settings], running: _Station) -> None:
         facts: dict[str, Any] = {"console": None} if "rosbridge" in served else {}
         for name, urls in served.items():
             if urls:
-                facts[name] = urls[0] if name in _ALONE else urls
+                facts[name] = urls[0] if name in ("console", "metrics", "foxglove") else urls
         facts["sim"] = settings.is_virtual
         print_json(facts | ({"aircraft": list(aircraft)} if len(aircraft) > 1 else {}))
         return
@@ -257,15 +252,13 @@ def _nodes(aircraft: dict[str, Settings]) -> list[str]:
     from m100link.apps.ros2.graph import NodeName
     from m100link.apps.station.ros2 import nodes_of
 
-    settings = next(iter(aircraft.values()))
-    names = nodes_of(settings, list(aircraft)).values()
+    names = nodes_of(next(iter(aircraft.values())), list(aircraft)).values()
     return [NodeName(0, "", one.namespace, one.node).full for one in names]
 
 
 def _tell_unused(settings: Settings) -> None:
     if settings.unused:
-        text = "[yellow]warning:[/] m100link ignores these parameters of the launch file: "
-        err.print(text, end="")
+        err.print("[yellow]warning:[/] the launch file has parameters that nothing reads: ", end="")
         err.print(", ".join(settings.unused), markup=False)
 
 
@@ -290,9 +283,8 @@ def warn_of(settings: Settings) -> None:
 _ELSEWHERE = ("url", "key", "token", "console_port", "tiles", "video", "origins", "unused")
 """Settings that are not options of both commands, or not of the command line at all."""
 
-_FromSettings: Any = layer_of_settings(
-    [one.name for one in fields(Settings) if one.name not in _ELSEWHERE]
-)
+_OPTIONS = [one.name for one in fields(Settings) if one.name not in _ELSEWHERE]
+_FromSettings: Any = layer_of_settings(_OPTIONS)
 
 
 def settings_of(
@@ -306,8 +298,8 @@ def settings_of(
     if os.environ.get("M100LINK_CONFIG"):  # a script of 0.2 would serve by other settings
         remedy = "move its settings to [station] of the file that `m100link config` shows; unset it"
         raise UsageError("M100LINK_CONFIG names a file that 1.0 does not read", remedy=remedy)
-    known = {one.name for one in fields(Settings)}
-    asked = {**vars(options), **({} if page is None else vars(page))}
+    known = Settings.__dataclass_fields__
+    asked = vars(options) | ({} if page is None else vars(page))
     flags = {name: value for name, value in asked.items() if name in known and value != ()}
     configuration = read_configuration()
     settings = resolve(
@@ -517,12 +509,23 @@ async def ros2(*url: Urls, options: Ros2Options = Ros2Options()) -> int:
 # -- ``m100link replay``: recorded flights in the console, as they were ----------------------------
 
 
+_OF_A_REPLAY = [n for n in _OPTIONS if n == "firmware" or n not in ("sim", *OF_THE_AIRCRAFT)]
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class ReplayOptions(layer_of_settings(_OF_A_REPLAY)):  # type: ignore[misc] # a class that is made
+    """Ports and access of a station in which nothing flies."""
+
+    run: RunOptions = AS_USUAL
+
+
 async def replay(
     *file: Path,
     speed: Annotated[float | Literal["max"], Parameter()] = 1.0,
     from_: Annotated[float, Parameter(name="--from")] = 0.0,
     until: float | None = None,
-    options: StationOptions = AS_CONFIGURED,
+    options: ReplayOptions = ReplayOptions(),
     page: PageOptions = IN_BROWSER,
 ) -> int:
     """Replay flights in the console: pause, seek, change the speed.
@@ -543,9 +546,8 @@ async def replay(
     urls = [f"replay://{path.absolute()}?speed={speed}&from={from_!r}{end}" for path in file]
     words = urls
     if len(urls) > 1:
-        names = _names(file)
-        words = [f"{name}={url}" for name, url in zip(names, urls, strict=True)]
-    aircraft = aircraft_of(options, words, page=page, launch=options.launch, no_record=True)
+        words = [f"{name}={url}" for name, url in zip(_names(file), urls, strict=True)]
+    aircraft = aircraft_of(options, words, page=page, no_record=True)
     asked = next(iter(aircraft.values())).origins
     return await run_station(
         aircraft,

@@ -27,6 +27,7 @@ def test_what_cannot_be_played_is_reported_before_anything_is_served(
         ((str(tmp_path),), "Is a directory"),
         ((str(tmp_path / "none.mcap"), "--speed", "0"), "speed"),
         ((str(tmp_path / "none.mcap"), "--from", "5", "--until", "2"), "before it begins"),
+        ((str(tmp_path / "none.mcap"), "--max-height", "5"), "Unknown option"),  # nothing flies
     ):
         ports = ("--port", "0", "--console-port", "0", "--no-open-browser")
         outcome = cli("replay", *arguments, *ports)

@@ -98,7 +98,7 @@ def test_settings_are_shown_with_their_origin(tmp_path: Path) -> None:
     assert rows["key"] == ["(set)", "environment"]
     assert rows["level"] == ["2", "default"]
     assert "00" * 32 not in done.stdout + done.stderr
-    assert "ignores these parameters of the launch file: use_x" in done.stderr
+    assert "has parameters that nothing reads: use_x" in done.stderr
 
 
 @pytest.mark.parametrize(

@@ -1324,7 +1324,7 @@ def test_an_event_is_told_with_its_aircraft_in_the_log_or_in_words(
         ({"host": "0.0.0.0"}, "without TLS everybody on this network can read the token"),
         ({"allow_origin": ("null",)}, "--allow-origin null admits pages"),
         ({"allow_origin": ("https://a.b",)}, ""),
-        ({"unused": ("[x]", "y")}, "ignores these parameters of the launch file: [x], y"),
+        ({"unused": ("[x]", "y")}, "has parameters that nothing reads: [x], y"),
     ],
 )
 def test_settings_that_are_dangerous_are_told(
