@@ -23,6 +23,7 @@ from m100link.sim.clock import virtual_clock_loop
 from m100link.sim.ports.driver import Driver
 from m100link.sim.virtual import VirtualAircraft
 from tests.apps.bus.memory import MemoryInbox
+from tests.rig import know_app
 
 UTC = 1_800_000_000.0
 """POSIX time as the clock of the loop begins."""
@@ -182,6 +183,7 @@ class Rig:
         **more: Any,
     ) -> None:
         self.aircraft = VirtualAircraft(seed=5, firmware=firmware)
+        know_app(self.aircraft)
         self.driver = Driver(self.aircraft)
         self.agent = Agent(by_driver(self.driver), credentials=self.aircraft.credentials, **more)
         self.bus = RecordingBus()
