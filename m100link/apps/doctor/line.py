@@ -482,18 +482,15 @@ def _mavlink(data: bytes) -> Likeness | None:
 
 @cache
 def _inverted_starts() -> frozenset[bytes]:
-    """How frames begin on an inverted line, for each length that an aircraft sends."""
+    """How frames begin on an inverted line, for each length."""
     return frozenset(
-        read_inverted(_START + bytes([length]) + bytes(6))[:_INVERTED_SIZE]
-        for length in range(HEADER_SIZE + 1, 256)
+        read_inverted(_START + bytes([length]) + bytes(6))[:_INVERTED_SIZE] for length in range(256)
     )
 
 
 def _inverted(data: bytes) -> Likeness | None:
     starts = _inverted_starts()
-    count = sum(
-        data[at : at + _INVERTED_SIZE] in starts for at in range(len(data) - _INVERTED_SIZE)
-    )
+    count = sum(data[at : at + _INVERTED_SIZE] in starts for at in range(len(data)))
     if count < 3:
         return None
     return Likeness(

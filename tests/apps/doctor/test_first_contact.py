@@ -61,7 +61,7 @@ class Hidden(ForeignInMemory):
             "without": (),
             "slowed": (),
             "for_ever": False,
-            "speed_known": True,
+            "speed_share": 1.0,
             "answers": True,
         }
         self.hidden |= hidden
@@ -86,7 +86,7 @@ class Hidden(ForeignInMemory):
 
     def _package(self) -> bytes:
         up = -self.climbs if self.hidden["down"] else self.climbs
-        up = up if self.hidden["speed_known"] else 0.0
+        up *= self.hidden["speed_share"]
         place = 0.39, 1.98, 400.0 + self.altitude, 0.0, 5
         felt = (0.0, 0.0, -1.0) if self.hidden["raw"] else (0.0, 0.0, 0.0)
         newer = self.firmware != "1.0"
@@ -168,7 +168,7 @@ class Hidden(ForeignInMemory):
     async def asked(self, text: str) -> bool:
         """The person beside it does what the words say."""
         if "Lift" in text:
-            self.climbs = 0.5
+            self.climbs = 1.0
             await asyncio.sleep(2.0)
             self.climbs = 0.0
             await asyncio.sleep(1.0)
@@ -366,12 +366,13 @@ async def test_what_the_person_only_says_is_not_seen(undone: str, topic: Topic) 
 
 
 async def test_a_velocity_that_does_not_show_the_lift_has_no_sign() -> None:
-    contact, _ = await met(Hidden(speed_known=False))
+    """It shows less than three tenths of it."""
+    contact, _ = await met(Hidden(speed_share=0.2))
     found = contact.get(Topic.VERTICAL_VELOCITY)
     assert found is not None
     assert (found.found, found.seen) == (
         "",
-        "the barometer rose by 1.00 m, velocity adds up to +0.00 m",
+        "the barometer rose by 2.00 m, velocity adds up to +0.40 m",
     )
 
 
@@ -545,6 +546,7 @@ async def test_what_an_interrupt_cannot_give_back_is_said(monkeypatch: pytest.Mo
     prompt = "mode switch to P"
     contact, said = await interrupted(monkeypatch, there, 2.5, prompt=prompt)
     assert there.device == ONBOARD
+    assert contact.get(Topic.OBTAIN_P) is None
     assert not contact.is_given_back
     assert said[-1] == "the aircraft may still have it with this program: put the switch to P"
 

@@ -733,6 +733,7 @@ def held(yaw: int = -9000, mode: int = F, roll: int = 0, gear: int | None = -454
         (True, held(yaw=-5000), [], "silent"),
         (True, held(yaw=5000), [], "silent"),
         (True, held(), [held(roll=0), held(roll=301)], ""),  # of 10000: somebody moves it
+        (True, held(), [held(yaw=-9000), held(yaw=-8699)], ""),
         (True, held(), [held(roll=0), held(roll=300)], "kept"),
         (True, held(), [RemoteControl(0, 0, 0, 0, 0, 0)], "zeros"),
         (True, held(), [RemoteControl(0, 0, 0, 0, 0, None)], "zeros"),
