@@ -431,7 +431,7 @@ class Track:
         self.thinned = 0
         self._step_m = _LEAST_STEP_M
         self._places: list[Place] = []
-        self._heard_at_s = -math.inf
+        self._heard_at_s = 0.0
 
     def add(self, at_s: float, north_m: float, east_m: float, height_m: float = 0.0) -> None:
         """It was there at a time, s: joined to the earlier places, unless it was silent for 2 s."""

@@ -313,6 +313,20 @@ def test_north_is_up_and_both_axes_have_one_scale() -> None:
     for x, y in points:
         assert 0 < x < width
         assert 0 < y < height
+    side = max(y for _, y in points)
+    bar = root.findall(f"{SVG}path")[0].attrib["d"].split("v")[0]
+    words = [tuple(float(text.attrib[axis]) for axis in "xy") for text in root.iter(f"{SVG}text")]
+    for x, y in (map(float, bar[1:].split()), *words):
+        assert 0 < x < width
+        assert side < y < height
+
+
+def test_a_map_is_as_large_as_fits_and_in_the_middle() -> None:
+    """20 m of north fill 320 less twice 28: 13.2 per metre; 5 m of east have 207 on either side."""
+    view = MapView([(10.0, -4.0), (30.0, 1.0)], (480, 320), 28)
+    assert view.spot(30.0, -4.0) == pytest.approx((207, 28))
+    assert view.spot(10.0, 1.0) == pytest.approx((273, 292))
+    assert MapView([(0.0, 0.0), (1.0, 53.0)], (480, 320), 28).scale == pytest.approx(8)
 
 
 def test_what_stands_still_is_not_blown_up_to_its_noise() -> None:
@@ -359,7 +373,10 @@ def test_a_scale_bar_is_as_long_as_it_says(extent: float) -> None:
     view = MapView([(0.0, 0.0), (extent, extent / 3)], (480, 320), 28)
     drawn = ET.fromstring(f"<g>{view.bar(8, 318, 100)}</g>")
     path, words = drawn
-    long = float(path.attrib["d"].split("h")[1].split("v")[0])
+    start, length, tick = path.attrib["d"].split("v")
+    long = float(length.removeprefix("4h"))
+    assert (start, tick) == ("M8 314", "-4")
+    assert float(words.attrib["x"]) == pytest.approx(8 + long + 6, abs=0.1)
     (_, y0), (x1, _) = view.spot(0, 0), view.spot(0, 1)
     metre = x1 - view.spot(0, 0)[0]
     assert y0 - view.spot(1, 0)[1] == pytest.approx(metre)
