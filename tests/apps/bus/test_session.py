@@ -244,7 +244,6 @@ async def test_a_program_that_leaves_hears_why_and_not_of_a_session_that_does_no
     assert ended.wait(PATIENCE)
 
 
-@pytest.mark.pty
 async def test_an_option_that_cannot_be() -> None:
     with pytest.raises(UsageError, match="cannot be in a session"):
         async with open_session(Opening("a test", "x", {"mode": '"captain"'})):
