@@ -50,6 +50,7 @@ class Arrival:
 
 
 Progress = Callable[[GuidanceProgress], None]
+Call = tuple[str, int]  # of a loop: its name, and the interruptions that there were before it
 
 
 def position_of(state: AircraftState) -> Position:
@@ -179,7 +180,7 @@ class Guidance:
         # Name of the loop that is flying, or nothing: two would fight for the aircraft.
         self.flying = ""
         self._task: asyncio.Task[object] | None = None  # in which it flies
-        self._is_interrupted = False
+        self._interruptions = 0
 
     def require_idle(self, what: str) -> None:
         """Raise ``UsageError`` while a loop is flying, unless its task is being cancelled."""
@@ -191,10 +192,10 @@ class Guidance:
             )
 
     def interrupt(self) -> None:
-        """End the loop that is flying: it raises NotObserved at its next tick."""
-        self._is_interrupted = True
+        """End the loop that is flying, or about to: it raises NotObserved at its next tick."""
+        self._interruptions += 1
 
-    def admit(self, name: str) -> None:
+    def admit(self, name: str) -> Call:
         """Raise ``UsageError`` while another loop flies, or the aircraft stands on the ground."""
         if self.flying:
             raise UsageError(
@@ -202,14 +203,15 @@ class Guidance:
                 remedy="await one before the next, or cancel its task",
             )
         require_in_the_air(self._state, name)
+        return name, self._interruptions
 
-    async def prepare(self, name: str) -> None:
+    async def prepare(self, name: str) -> Call:
         """As :meth:`admit`, after the packages that wait in the line were read."""
         # A program that stood still has an old position, and a new one on its way: the loop waits
         # for it, for as long as one is fresh, and blames the line only then.
-        self.admit(name)
+        call = self.admit(name)
         if self._has_fresh_position():
-            return
+            return call
         clock = asyncio.get_running_loop().time
         until = clock() + STEER_S
         async for _ in Ticker():
@@ -217,6 +219,7 @@ class Guidance:
                 break
         # Again: another loop may have begun, or the aircraft have landed, while this one waited.
         self.admit(name)
+        return call
 
     def _has_fresh_position(self) -> bool:
         """Whether no newer one is to be awaited: there is one, or there has never been one."""
@@ -225,7 +228,7 @@ class Guidance:
 
     async def run(
         self,
-        name: str,
+        call: Call,  # made before the first wait: what ended it meanwhile is not forgotten
         step: Callable[[], tuple[Setpoint, GuidanceProgress]],
         is_within: Callable[[GuidanceProgress], bool],
         timeout: float,
@@ -235,7 +238,8 @@ class Guidance:
         clock = asyncio.get_running_loop().time
         began_at = ticked_at = reading_until = clock()
         settling, stillness = _Settling(self._state), _Stillness(self._state)
-        self.flying, self._task, self._is_interrupted = name, asyncio.current_task(), False
+        name, interruptions = call
+        self.flying, self._task = name, asyncio.current_task()
         try:
             async for _ in Ticker():
                 now = clock()
@@ -255,8 +259,9 @@ class Guidance:
                     progress(found)
                 if settling.update(is_within(found)):
                     break
-                if self._is_interrupted or elapsed > timeout or is_on_ground(self._state):
-                    raise self._not_arrived(name, timeout, found)
+                is_ended = interruptions != self._interruptions
+                if is_ended or elapsed > timeout or is_on_ground(self._state):
+                    raise self._not_arrived(name, None if is_ended else timeout, found)
                 if stillness.is_too_long(now, self._slack(), setpoint, found):
                     left = self._left(found)
                     raise SetpointsIgnored.usual(f"{name}: nothing moves by its setpoints; {left}")
@@ -266,13 +271,13 @@ class Guidance:
             await self._hover()
         return Arrival(elapsed, found.distance_m, found.height_error_m, found.heading_error_deg)
 
-    def _not_arrived(self, name: str, timeout: float, found: GuidanceProgress) -> NotObserved:
+    def _not_arrived(self, name: str, limit: float | None, found: GuidanceProgress) -> NotObserved:
         end, cause = "was stopped", "stop() or a task was called while it flew"
         if is_on_ground(self._state):
             end = "ended on the ground"
             cause = "the aircraft landed: by the pilot, a low battery, or a height near 0"
-        elif not self._is_interrupted:
-            end = f"did not arrive within {timeout:g} s"
+        elif limit is not None:
+            end = f"did not arrive within {limit:g} s"
             cause = "wind, an envelope of the autopilot, or a mode that it ignores"
         return NotObserved(
             f"{name} {end}; {self._left(found)}", situation=self._state.situation(), cause=cause

@@ -16,6 +16,7 @@ from m100link.errors import UsageError
 from m100link.flight.guards import MAX_COMMAND_M_S, GuardKeeper, known
 from m100link.flight.guidance import (
     Arrival,
+    Call,
     Guidance,
     GuidanceProgress,
     Progress,
@@ -237,14 +238,14 @@ class ClosedLoops:
                 loop is flying.
             NoAuthority: See :meth:`Control.send`.
         """
-        await self._guidance.prepare("fly_to")
+        call = await self._guidance.prepare("fly_to")
         self._guards.check_round_trip("fly_to")
         here = position_of(self._state)
         place = _place(here, (north, east), frame, (latitude_deg, longitude_deg))
         target = (*place, _target_height(here, up, height))
         self._guards.check_target("fly_to", target[:2], height=target[2], speed=speed or 0.0)
         return await self._fly_straight(
-            "fly_to",
+            call,
             target,
             yaw_deg=yaw_deg,
             speed=None if speed is None else check_speed(speed),
@@ -255,7 +256,7 @@ class ClosedLoops:
 
     async def _fly_straight(
         self,
-        name: str,
+        call: Call,
         target: Place,
         *,
         yaw_deg: float | None,
@@ -285,7 +286,7 @@ class ClosedLoops:
                 and abs(found.heading_error_deg) <= 5.0
             )
 
-        return await self._guidance.run(name, step, is_within, timeout, progress)
+        return await self._guidance.run(call, step, is_within, timeout, progress)
 
     async def fly_path(
         self,
@@ -320,7 +321,7 @@ class ClosedLoops:
         Raises: as :meth:`fly_to`. A point outside the envelope, or one that cannot be flown to, is
         named, and nothing is sent.
         """
-        await self._guidance.prepare("fly_path")
+        call = await self._guidance.prepare("fly_path")
         self._guards.check_round_trip("fly_path")
         here = position_of(self._state)
         frame = frame or LocalFrame(here.latitude_deg, here.longitude_deg)
@@ -362,7 +363,7 @@ class ClosedLoops:
         def is_within(found: GuidanceProgress) -> bool:
             return found.distance_m <= tolerance_m and abs(found.height_error_m) <= tolerance_m
 
-        return await self._guidance.run("fly_path", step, is_within, timeout, progress)
+        return await self._guidance.run(call, step, is_within, timeout, progress)
 
     async def climb_to(
         self,
@@ -376,7 +377,7 @@ class ClosedLoops:
 
         Raises: as :meth:`fly_to`.
         """
-        await self._guidance.prepare("climb_to")
+        call = await self._guidance.prepare("climb_to")
         self._guards.check_target("climb_to", height=check_height(height))
 
         def step() -> tuple[Setpoint, GuidanceProgress]:
@@ -385,11 +386,7 @@ class ClosedLoops:
             return setpoint, GuidanceProgress(0.0, 0.0, height - here.height_m, 0.0)
 
         return await self._guidance.run(
-            "climb_to",
-            step,
-            lambda found: abs(found.height_error_m) <= tolerance_m,
-            timeout,
-            progress,
+            call, step, lambda found: abs(found.height_error_m) <= tolerance_m, timeout, progress
         )
 
     async def turn_to(
@@ -405,7 +402,7 @@ class ClosedLoops:
         Raises: as :meth:`fly_to`.
         """
         # Without prepare(), which waits for a position: a turn needs none.
-        self._guidance.admit("turn_to")
+        call = self._guidance.admit("turn_to")
         setpoint = Setpoint.velocity(north=0.0, east=0.0, up=0.0, yaw_deg=yaw_deg)
 
         def step() -> tuple[Setpoint, GuidanceProgress]:
@@ -413,11 +410,7 @@ class ClosedLoops:
             return setpoint, GuidanceProgress(0.0, 0.0, 0.0, turn)
 
         return await self._guidance.run(
-            "turn_to",
-            step,
-            lambda found: abs(found.heading_error_deg) <= tolerance_deg,
-            timeout,
-            progress,
+            call, step, lambda it: abs(it.heading_error_deg) <= tolerance_deg, timeout, progress
         )
 
     async def orbit(
@@ -459,7 +452,7 @@ class ClosedLoops:
 
         Raises: as :meth:`fly_to`.
         """
-        await self._guidance.prepare("orbit")
+        call = await self._guidance.prepare("orbit")
         self._guards.check_round_trip("orbit")
         here = position_of(self._state)
         if frame is None:
@@ -485,7 +478,7 @@ class ClosedLoops:
         is_there = math.dist(first, (north, east)) < _BEGINS_WITHIN_M
         if not is_there or abs(height - here.height_m) > _BEGINS_WITHIN_M:
             await self._fly_straight(
-                "orbit",
+                call,
                 (*center.to_geodetic(*first), height),
                 yaw_deg=normalize_degrees(math.degrees(bearing) + 180.0),
                 speed=None,
@@ -495,10 +488,11 @@ class ClosedLoops:
             )
             # Between the two flights another loop may have begun, or the aircraft have landed.
             self._guidance.admit("orbit")
-        return await self._fly_around(orbit, center, height, timeout, progress)
+        return await self._fly_around(call, orbit, center, height, timeout, progress)
 
     async def _fly_around(
         self,
+        call: Call,
         orbit: Orbit,
         center: LocalFrame,
         height: float,
@@ -530,7 +524,7 @@ class ClosedLoops:
         def is_within(found: GuidanceProgress) -> bool:
             return found.heading_error_deg <= 2.0
 
-        return await self._guidance.run("orbit", step, is_within, timeout, progress)
+        return await self._guidance.run(call, step, is_within, timeout, progress)
 
 
 def _velocity(state: AircraftState) -> tuple[float, float] | None:

@@ -354,6 +354,27 @@ async def test_stop_and_a_task_end_the_loop_that_flies(name: str, loop: Loop) ->
         await control.climb_to(3.0)
 
 
+@pytest.mark.parametrize("order", ["stop", "take_off"])
+async def test_what_ends_an_orbit_between_its_two_flights_ends_it(order: str) -> None:
+    """It hovers for 0.3 s where the circle begins; a stop then was forgotten, and it circled on."""
+    async with flying() as (flown, control):
+        circle = asyncio.ensure_future(control.orbit(center_north=5, center_east=0, radius=4.5))
+        await asyncio.sleep(0.5)
+        while control._guidance.flying:  # noqa: ASYNC110 - no event tells of it
+            await asyncio.sleep(0.01)
+        assert not circle.done()
+        if order == "stop":
+            await control.stop()
+        else:
+            with pytest.raises(TaskRefused, match="take off was refused"):
+                await control.take_off()
+        with pytest.raises(GuardRefused):  # another call that does not fly revives nothing
+            await control.climb_to(500.0)
+        with pytest.raises(NotObserved, match=r"orbit was stopped; .* \+360° remain"):
+            await circle
+        await flown.assert_hovers()
+
+
 async def test_a_program_that_cancels_a_loop_may_steer_at_once() -> None:
     async with flying() as (flown, control):
         flight = asyncio.create_task(control.fly_to(north=20, east=0, up=0))

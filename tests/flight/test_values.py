@@ -47,7 +47,8 @@ class Loops:
         self.at(0.0, 0.0, HEIGHT)
         guards: Any = MagicMock(fastest_m_s=10.0)
         self.guards = guards
-        guidance: Any = SimpleNamespace(prepare=AsyncMock(), admit=MagicMock(), run=self._run)
+        prepare, admit = AsyncMock(side_effect=str), MagicMock(side_effect=str)  # the name
+        guidance: Any = SimpleNamespace(prepare=prepare, admit=admit, run=self._run)
         self.guidance = guidance
         self.loops = ClosedLoops(self.state, guards, guidance)
 
