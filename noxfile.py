@@ -154,7 +154,7 @@ KINDS = {
     ),
     "quick": Kind(
         "Tests that are not slow, and some in real time: a flight for each front among them.",
-        # Three processes that know nothing of each other: workers that report 12,000 tests to one
+        # Three processes that know nothing of each other: workers that report 20,000 tests to one
         # take a tenth more, and each of them has to read all files.
         {
             "tests": [pytest(*QUICK, *VIRTUAL, *elsewhere("tests/apps"))],
