@@ -77,7 +77,7 @@ class StopPath:
             is_ours = state is AuthorityState.OBTAINING
             return Wanted(release=plan.release and not (is_ours and missions.is_of_another))
         is_kept = missions.is_detached or missions.is_of_another
-        is_airborne = self._may_be_airborne(says_why=False)
+        is_airborne = self._may_be_airborne()
         lands = plan.land and self._action == "land" and not is_kept and is_airborne
         flies_home = missions.lands_by_plan and is_airborne and not lands
         current = self._setpoints.current if plan.neutral else None
@@ -204,7 +204,7 @@ class StopPath:
                 _logger.error("the stop path could not land: %s", error)
             return
 
-    def _may_be_airborne(self, *, says_why: bool = True) -> bool:
+    def _may_be_airborne(self, *, lands: bool = False) -> bool:
         """By what is believed of it; where nothing is, by whether a take-off was commanded."""
         state, take_off_at = self._commander.state, self._take_off_at
         status, status_at = state.believed_status, state.received_at(FlightStatus)
@@ -214,7 +214,7 @@ class StopPath:
         if take_off_at is not None:  # a "standby" from before it left the ground proves nothing
             leaves_at = take_off_at + _LEAVES_THE_GROUND_S + self._slack_s
             return status_at is None or status_at < leaves_at
-        if says_why and not is_new:
+        if lands and not is_new:
             _logger.error(
                 "stop='land' did not land: the flight status is %s, and no take-off was commanded",
                 "unknown" if status is None else "old",
@@ -228,8 +228,10 @@ class StopPath:
         # A status from before it could leave the ground proves nothing: time has to pass.
         state = self._commander.state
         until = self._clock() + 2 * _LEAVES_THE_GROUND_S + self._slack_s
-        while is_on_ground(state) and self._may_be_airborne() and self._clock() < until:  # noqa: ASYNC110
-            await asyncio.sleep(_STATUS_POLL_S)
+        while self._clock() < until and (stands := is_on_ground(state)) is not False:
+            if stands and not self._may_be_airborne():
+                break
+            await asyncio.sleep(_STATUS_POLL_S)  # right after connecting no status has come
         if not await self._stands() or not is_on_ground(state):
             if state.flight_status is None or state.flight_status.status == FlightPhase.STANDBY:
                 _logger.error("the motors were not stopped: nobody knows whether it stands")
@@ -242,7 +244,7 @@ class StopPath:
     async def _stands(self) -> bool:
         """Whether it is not in the air, after statuses of standing could become several."""
         await stands(self._commander.state)
-        return not self._may_be_airborne()
+        return not self._may_be_airborne(lands=self._action == "land" and self._life.plan.land)
 
     async def _lands_by_plan(self) -> bool:
         """Whether it goes home or lands at the end of a mission, and not by a landing of ours."""

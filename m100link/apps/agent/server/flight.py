@@ -78,11 +78,11 @@ class ActiveFlight:
 
     @property
     def is_in_task(self) -> bool:
-        """Whether the autopilot may fly a task, or motors idle: the end of the block ends both."""
+        """Whether the autopilot may fly a task, or motors may idle: the block's end ends both."""
         # A program or a mission that was ended does not end the take-off that it had begun.
         if self.task is not None or self._control.unended_task is not None:
             return True
-        return self._has_armed and is_on_ground(self._control.state) is True
+        return self._has_armed and is_on_ground(self._control.state) is not False
 
     @property
     def is_steered(self) -> bool:

@@ -40,7 +40,7 @@ from m100link.protocol.records import Device
 from m100link.protocol.setpoint import Setpoint
 from tests.apps.agent.conftest import Rig, airborne, guided, task_of
 from tests.apps.agent.examples import example
-from tests.rig import put_in_the_air
+from tests.rig import know_app, put_in_the_air
 
 pytestmark = pytest.mark.anyio
 
@@ -137,14 +137,19 @@ async def test_a_stop_during_a_task_gives_authority_back(rig: Rig) -> None:
 
 
 @pytest.mark.parametrize("after", [0.0, 0.001, 0.1, 3.0])
-async def test_a_stop_ends_motors_that_idle_on_the_ground(after: float) -> None:
+@pytest.mark.parametrize("knows_app", [False, True])  # then no flight status has come yet
+async def test_a_stop_ends_motors_that_idle_on_the_ground(after: float, knows_app: bool) -> None:
     """As they start, too; in the air nothing stops them."""
-    async with Rig(firmware="3.1").running() as rig:
+    rig = Rig(firmware="3.1")
+    if knows_app:
+        know_app(rig.aircraft)
+    async with rig.running():
         await rig.agent.ask(orders.Obtain(), rig.token)
-        async with anyio.create_task_group() as group:
-            group.start_soon(rig.agent.ask, orders.StartMotors(), rig.token)
-            await anyio.sleep(after)
-            await rig.agent.stop()
+        starting = asyncio.ensure_future(rig.agent.ask(orders.StartMotors(), rig.token))
+        await anyio.sleep(after)
+        await rig.agent.stop()
+        await asyncio.wait([starting])
+        assert isinstance(starting.exception(), NoAuthority | None)
         await anyio.sleep(1.0)
         assert not rig.aircraft.vehicle.flight.dynamics.motors_on
         await rig.agent.ask(orders.Obtain(), rig.token)
@@ -156,6 +161,22 @@ async def test_a_stop_ends_motors_that_idle_on_the_ground(after: float) -> None:
         await anyio.sleep(2.0)
         assert rig.aircraft.height > 0.5
         assert rig.holding.has_authority
+
+
+async def test_a_stop_gives_back_control_where_no_flight_status_comes(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """Motors may idle; they may fly, too, so nothing stops them, and the log says so."""
+    rig = Rig(firmware="3.1")
+    rig.aircraft.set_rates(flight_status=0)
+    async with rig.running():
+        await rig.agent.ask(orders.Obtain(), rig.token)
+        await rig.agent.ask(orders.StartMotors(), rig.token)
+        await rig.agent.stop()
+        assert not rig.holding.has_authority
+        assert rig.aircraft.vehicle.flight.dynamics.motors_on
+    assert "the motors were not stopped: nobody knows whether it stands" in caplog.messages
+    assert not [one for one in caplog.messages if "did not land" in one]
 
 
 async def test_after_stop_a_stream_of_setpoints_is_refused_until_it_begins_anew(rig: Rig) -> None:
