@@ -201,17 +201,24 @@ async def test_a_connection_has_a_budget_and_is_cut_off_when_it_wants_more_for_l
     assert 5.0 <= loop.time() - began < 15.0
 
 
-@pytest.mark.parametrize(("times", "is_cut_off"), [(4.5, False), (9.0, True)])
+@pytest.mark.parametrize(
+    ("per_byte", "rate", "times", "is_cut_off"),
+    [
+        (1 / 6, 6 * EVENTS_RATE, 4.5, False),
+        (1 / 6, 6 * EVENTS_RATE, 9.0, True),
+        (0.0, BYTES_RATE, 1.5, False),
+    ],
+)
 async def test_a_connection_that_steers_may_send_five_times_as_much(
-    times: float, is_cut_off: bool
+    per_byte: float, rate: float, times: float, is_cut_off: bool
 ) -> None:
     speaker = Speaker([], "pilot", steers=True)
-    speaker.events_per_byte = 1 / 6
+    speaker.events_per_byte = per_byte
     line = connected(Intake(lambda: 0.0), speaker)
-    for _ in range(3000):
+    for _ in range(1000):
         if line.ended:
             break
-        line.deliver(bytes(round(6 * times * EVENTS_RATE / 100)))
+        line.deliver(bytes(round(times * rate / 100)))
         await asyncio.sleep(1 / 100)
     assert bool(line.ended) is is_cut_off
 

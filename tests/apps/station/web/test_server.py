@@ -13,7 +13,7 @@ from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
-from unittest.mock import Mock, call
+from unittest.mock import Mock, PropertyMock, call
 
 import pytest
 
@@ -451,16 +451,57 @@ async def test_a_socket_that_is_cut_stops_the_motion() -> None:
         await until(lambda: not one.agent.holding.has_authority)
 
 
+def with_clients(*sessions: Any, **agent: Any) -> server.RosbridgeServer:
+    one = object.__new__(server.RosbridgeServer)
+    one.agents = {"": cast(Any, SimpleNamespace(**agent))}
+    one.graph = cast(Any, SimpleNamespace(sessions=list(sessions)))
+    return one
+
+
 @pytest.mark.parametrize("count", [1, 2])
 def test_who_makes_room_hears_why_and_has_ended_at_once(
     monkeypatch: pytest.MonkeyPatch, count: int
 ) -> None:
     """Its topics and its lease do not wait for the end of its socket."""
     silent = [Mock(spec=Client, heard_at=40.0) for _ in range(count)]
-    one = object.__new__(server.RosbridgeServer)
-    one.agents = {"": cast(Any, SimpleNamespace(now=43.5))}
-    one.graph, one.clients, one._max_clients = cast(Any, SimpleNamespace(sessions=silent)), {}, 2
+    one = with_clients(*silent, now=43.5)
+    one.clients, one._max_clients = {}, 2
     monkeypatch.setattr(server, "to_evict", lambda others, peer, now: others[0])
     assert one._make_room("a peer")
     why = "another client needs the place; this one was silent for 3.5 s"
     assert silent[0].method_calls == [call.disconnect(why), call.close(43.5)] * (count - 1)
+
+
+@pytest.mark.parametrize(
+    ("late", "work", "why"),
+    [
+        (0.11, 0.06, "it blocked the station for 60 ms"),
+        (0.11, 0.04, ""),  # it has not done half of it
+        (0.09, 9.0, ""),
+    ],
+)
+async def test_the_heaviest_client_goes_when_the_loop_stood_for_a_tenth_of_a_second(
+    late: float, work: float, why: str
+) -> None:
+    light, heavy = (Mock(spec=Client, recent_work=one) for one in (work / 2, work))
+    one = with_clients(light, heavy)
+    times = iter([8.0, 8.05 + late, *[9.0] * 99])
+    one.agents = {"": cast(Any, Mock())}
+    type(one.agent).now = PropertyMock(side_effect=times)  # type: ignore[method-assign]
+    guard = asyncio.ensure_future(one._guard())
+    await until(lambda: heavy.recent_work == 0.0)
+    guard.cancel()
+    assert heavy.method_calls == ([call.disconnect(why), call.close(9.0)] if why else [])
+    assert (light.method_calls, light.recent_work) == ([], 0.0)
+
+
+async def test_what_is_throttled_goes_when_it_is_due_and_what_is_short_goes_together(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    session = Mock()
+    session.outbox.next_wakeup.return_value = 1000.01
+    async with asyncio.timeout(PATIENCE):
+        await with_clients(now=1000.0)._wait(session, asyncio.Event())
+    monkeypatch.setattr(server, "_PACKING_TIME", PATIENCE)
+    session.outbox.next_frame.side_effect = ["a" * 60_000, "b", "c" * 6000, "d"]
+    assert [frame[0] for frame in server._frames(session)] == ["a", "b", "c"]  # 64 KiB

@@ -159,7 +159,8 @@ def test_the_bytes_of_a_picture_say_what_it_is() -> None:
         png() + bytes(1_000_000),
         png(40_000, 1),
         b"\x89PNG\r\n\x1a\n" + bytes(4) + b"IHDR" + struct.pack(">II", 65_535, 65_535),
-        JPEG.replace(struct.pack(">HH", 256, 512), struct.pack(">HH", 65_000, 65_000)),
+        JPEG.replace(struct.pack(">HH", 256, 512), struct.pack(">HH", 65_000, 512)),
+        JPEG.replace(struct.pack(">HH", 256, 512), struct.pack(">HH", 256, 65_000)),
         b"\xff\xd8" + b"\xff" * 5000,
         b"\xff\xd8" + b"\xff\xe0\0\0" * 5000,
         webp(WEBP["extended"].replace(b"\xff\0\0", b"\xff\xff\xff")),
@@ -201,7 +202,7 @@ async def test_a_tile_is_served_as_what_it_is_and_kept_by_browsers(tmp_path: Pat
 @pytest.mark.parametrize(
     "path",
     [
-        "/tiles/1/0/0",  # not there
+        "/tiles/1/0/1",  # not there
         "/tiles/1/2/0",  # beyond the map
         "/tiles/23/0/0",
         "/tiles/99/9999999/9999999",
@@ -217,7 +218,7 @@ async def test_a_tile_is_served_as_what_it_is_and_kept_by_browsers(tmp_path: Pat
     ],
 )
 async def test_what_is_no_tile_is_not_found(path: str, tmp_path: Path) -> None:
-    app = MapTiles(mbtiles(tmp_path / "map", {(1, 0, 0): png()}))
+    app = MapTiles(mbtiles(tmp_path / "map", {(1, 0, 1): png()}))
     status, headers, body = await ask(app, path)
     assert (status, body, headers["cache-control"]) == (404, b"", "no-store")
 
@@ -411,7 +412,8 @@ def test_a_licence_is_plain_text() -> None:
 async def test_the_zooms_are_those_of_the_file(
     metadata: dict[str, str], found: tuple[int, int] | None, tmp_path: Path
 ) -> None:
-    app = MapTiles(mbtiles(tmp_path / "map", {(2, 0, 0): png()}, **metadata))
+    rows = {(2, 0, 0): png()} | {(2, 1, row): b"" for row in range(1000)}
+    app = MapTiles(mbtiles(tmp_path / "map", rows, **metadata))
     await app.look()
     assert app.pictures is not None
     assert app.pictures.zooms == found
