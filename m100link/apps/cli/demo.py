@@ -327,12 +327,9 @@ def _print_summary(flight: _Flight, summary: dict[str, Any]) -> None:
     out.print(numbers)
     if flight.track:
         pictures = Table(box=None, pad_edge=False, show_header=out.width >= 3 * _PICTURE)
-        began_at = flight.heights[0][0]
-        heights = [(now - began_at, height) for now, height in flight.heights]
-        drawn = {
-            "track": Text("\n".join(track_plot(flight.track, columns=_PICTURE, rows=14))),
-            "height": Text("\n".join(line_plot(heights, unit="m", columns=_PICTURE, rows=13))),
-        }
+        track = track_plot(flight.track, columns=_PICTURE, rows=14)
+        height = line_plot(flight.heights, unit="m", columns=_PICTURE, rows=13)
+        drawn = {"track": Text("\n".join(track)), "height": Text("\n".join(height))}
         if out.width < 3 * _PICTURE:
             for title, picture in drawn.items():
                 pictures.add_row(title)

@@ -60,8 +60,7 @@ def _replacement(character: str) -> str:
     code = ord(character)
     if code not in _BRAILLE:
         return _ASCII.get(character, "?")
-    dots = code - _BRAILLE.start
-    return (" ", "'", ".", ":")[bool(dots & _UPPER) + 2 * bool(dots & _LOWER)]
+    return (" ", "'", ".", ":")[bool(code & _UPPER) + 2 * bool(code & _LOWER)]
 
 
 codecs.register_error("m100link.ascii", _in_ascii)

@@ -166,6 +166,7 @@ def test_help_and_version(cli: CommandLine) -> None:
     overview = cli("--help")
     for command in ("demo", "info", "activate", "monitor", "decode", "sim", "takeoff", "fly"):
         assert command in overview.out
+    assert cli("fleet", "log", "--help").status == 0
 
 
 def test_a_wheel_says_of_which_commit_it_is(

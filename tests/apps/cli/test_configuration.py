@@ -309,6 +309,7 @@ def test_an_aircraft_without_a_name_gets_one(file: Path, configuration_file: Pat
         '[aircraft]\nlab.url = "sim://"\n',
         '[aircraft.lab]\nurl = "sim://"\nseen = """\n[aircraft.lab]\n"""\n',
         '[aircraft.lab]\nurl = "sim://"\n"acceleration" = "raw"\n',
+        'note = """\n[aircraft.lab]\n"""\n[aircraft.lab]\nurl = "sim://"\n',
     ],
 )
 def test_a_file_of_another_layout_stays_as_it_is(configuration_file: Path, text: str) -> None:

@@ -9,6 +9,7 @@ import re
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -54,7 +55,7 @@ def test_on_the_virtual_clock_equal_seeds_are_equal_flights(cli: CommandLine) ->
     command = ("demo", "--speed", "max", "--json", "--side", "3", "--seed")
     one, again = (cli(*command, "5").objects[0] for _ in range(2))
     for summary in (one, again):
-        assert summary.pop("real_seconds") > 0.0
+        assert 0.0 < summary.pop("real_seconds") < time.monotonic()
         assert Path(summary.pop("recording")).exists()
     assert one == again
 

@@ -35,12 +35,13 @@ def dots(lines: list[str], columns: int) -> set[tuple[int, int]]:
 def test_a_track_has_north_at_the_top_and_east_at_the_right() -> None:
     *picture, caption = track_plot([(0.0, 0.0), (10.0, 0.0)], columns=10, rows=5)
     north = dots(picture, 10)
-    assert len({x for x, _ in north}) == 1
-    assert len({y for _, y in north}) >= 17
+    assert {x for x, _ in north} == {10}  # of 20, in the middle
+    assert {y for _, y in north} == set(range(1, 18))  # of 20
     assert caption == "north up; 10.0 m north to south, 1.0 m east to west"
     *picture, caption = track_plot([(0.0, 0.0), (0.0, 10.0)], columns=10, rows=5)
     east = dots(picture, 10)
-    assert len({y for _, y in east}) == 1
+    assert {y for _, y in east} == {9}
+    assert {x for x, _ in east} == set(range(2, 19))
     assert caption == "north up; 1.0 m north to south, 10.0 m east to west"
 
 
@@ -60,6 +61,7 @@ def test_a_value_over_time_rises_to_the_right_and_is_labelled() -> None:
     assert picture[0].startswith("3.00 ┤")
     assert picture[-1].startswith("1.00 ┤")
     assert scale.split() == ["m", "0", "2.0", "s"]
+    assert len(scale) == len(picture[0])
 
 
 @pytest.mark.parametrize("plot", [track_plot, line_plot])
@@ -75,6 +77,11 @@ def test_names_stand_where_there_is_room_for_them() -> None:
     assert line.strip("\u2800")[0] == "0"
     assert line.strip("\u2800")[-2:] == "12"
     assert "1" not in line[:-3]
+    canvas = progress._Canvas(6, 2)
+    canvas.write(0, 7, "t")
+    canvas.write(4, 0, "b")
+    canvas.write(0, 0, "aa")  # it would stand right beside
+    assert [line.replace("\u2800", ".") for line in canvas.lines()] == ["t.....", "..b..."]
 
 
 # -- telemetry records as rows of named numbers ----------------------------------------------------

@@ -201,6 +201,7 @@ def test_results_are_reported_with_reason_and_remedy(
     assert "ok" in told.out
     assert "lease 3 is not in force" in told.out
     assert "take it" in told.err
+    assert told.err.splitlines()[-1] == "1 ok, 1 not"
     assert tell_results({"a1": results["a1"]}, NO_OPTIONS) == 0
 
 

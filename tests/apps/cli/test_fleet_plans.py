@@ -292,6 +292,10 @@ def test_a_lease_is_shared_with_nobody_else_and_no_longer_than_it_is_held(
     with shared("site", "a1", (5, "secret 5")):
         assert not path.is_symlink()
     assert other.read_text() == "mine"
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(other))
+    refused = pytest.raises(UsageError, match="cannot be written")
+    with refused, shared("site", "a1", (6, "secret 6")):
+        raise AssertionError("nobody else can order under it")
     monkeypatch.delenv("XDG_RUNTIME_DIR")
     assert lease_file("site", "a1").is_relative_to(os.environ["XDG_STATE_HOME"])
     monkeypatch.setenv("XDG_RUNTIME_DIR", "run")  # the standard has a relative one ignored

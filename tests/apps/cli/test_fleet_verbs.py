@@ -234,3 +234,4 @@ def test_an_audit_log_is_told_with_the_times_of_order_and_outcome(
         ["2027-01-15", "08:00:00", "a1", "anna", "land", "2027-01-15", "08:00:20", "ok"],
     ]
     assert outcome.status == ExitCode.OK
+    assert cli("fleet", "log", "audit", "a1", "--table").out == outcome.out

@@ -64,6 +64,7 @@ def test_a_log_is_recorded_and_reported(cli: CommandLine, flight: Path) -> None:
         assert "line: 0.0 % of frames lost; 0 frames damaged" in said
     text = cli("log", "info", str(flight), "--table").out
     assert "firmware 1.0" in text
+    assert "  Longest silence  " in text
     assert "recover" not in text
 
 
@@ -365,6 +366,10 @@ def test_the_plugin_goes_where_wireshark_looks_for_it(
     assert cli("log", "wireshark", "--plugin", str(plugin)).status == ExitCode.OK
     assert plugin.read_text("utf-8") == installed.read_text("utf-8")
     assert "waypoint_point" in plugin.read_text("utf-8")
+    monkeypatch.setenv("HOME", str(plugin))  # a file, where no folder can be made
+    refused = cli("log", "wireshark", "--install")
+    assert refused.status != ExitCode.OK
+    assert "cannot be written" in refused.err.replace("\n", " ")
 
 
 def test_nothing_at_all_is_asked_about(cli: CommandLine) -> None:

@@ -155,14 +155,19 @@ def test_a_download_goes_on_where_it_ended(
 
 
 def test_a_tile_that_the_server_lacks_is_left_out(cli: CommandLine, server: Server) -> None:
-    server.answer = lambda path: (404, {}, b"") if "33552" in path else (204, {}, b"")
+    answers: dict[str, Any] = {
+        "33552/21617": (200, {}, png()),
+        "33552": (404, {}, b""),
+        "": (204, {}, b""),
+    }
+    server.answer = lambda path: next(it for words, it in answers.items() if words in path)
     told = json.loads(
         cli(
             "map", "download", server.template, HERE, *MAP, "--min-zoom", "16", "--max-zoom", "16"
         ).out
     )
-    assert told["absent"] == len(server.asked) > 0
-    assert told["stored"] == 0
+    assert told["absent"] == len(server.asked) - 1 > 0
+    assert told["stored"] == 1
 
 
 @pytest.mark.parametrize(
@@ -186,6 +191,7 @@ def test_a_server_that_gives_no_pictures_ends_it(
     assert seen in outcome.err
     assert "secret" not in outcome.err
     assert len(server.asked) <= 3 * map_verbs._AT_ONCE
+    assert len(server.asked) >= (3 if seen == "500" else 1)  # what may pass is tried thrice
 
 
 def test_an_answer_that_drips_does_not_hold_it_up(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -200,7 +206,7 @@ def test_an_answer_that_drips_does_not_hold_it_up(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(time, "monotonic", lambda: now)
     with pytest.raises(TimeoutError):
         map_verbs._body_of(cast(Any, Dripping()))
-    assert now <= 40.0
+    assert 30.0 < now <= 40.0
 
 
 @pytest.mark.parametrize(
@@ -214,14 +220,20 @@ def test_an_answer_that_drips_does_not_hold_it_up(monkeypatch: pytest.MonkeyPatc
         (["https://h/{z}/{x}/{y}", "91,0"], "a place"),
         (["https://h/{z}/{x}/{y}", "here"], "a place"),
         (["https://h/{z}/{x}/{y}", HERE, "--min-zoom", "19", "--max-zoom", "18"], "no tile"),
+        (["https://h/{z}/{x}/{y}", HERE, "--attribution", " "], "--attribution is empty"),
         (["https://h/{z}/{x}/{y}", HERE, "53,5"], "more than 5000"),
+        (
+            ["https://h/{z}/{x}/{y}", HERE, "53,5", "--min-zoom", "18", "--max-zoom", "18"],
+            "at zoom 18 to 18: more than 5000",
+        ),
         (["https://h/{z}/{x}/{y}", "0,-180", "0,180", "--margin", "9e9"], "more than 5000"),
     ],
 )
 def test_an_area_that_cannot_be_fetched_is_refused(
     words: list[str], seen: str, cli: CommandLine, server: Server, tmp_path: Path
 ) -> None:
-    outcome = cli("map", "download", *words, "--attribution", "© Anna")
+    known = () if "--attribution" in words else ("--attribution", "© Anna")
+    outcome = cli("map", "download", *words, *known)
     assert outcome.status == ExitCode.USAGE
     assert seen in " ".join(outcome.err.split())
     assert not (tmp_path / "m100link").exists()

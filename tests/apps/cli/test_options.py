@@ -49,6 +49,8 @@ def test_options_have_the_defaults_of_their_fields_or_none_as_a_layer() -> None:
     assert (plain.stove, plain.lamp) == (5, None)
     layer = options_of(Kitchen, ("stove", "pans"), is_layer=True)()
     assert (layer.stove, layer.pans) == (None, ())
+    with pytest.raises(LookupError, match="Kitchen has no line for oven"):
+        options_of(Kitchen, ("oven",))
 
 
 def test_every_setting_is_declared_once() -> None:

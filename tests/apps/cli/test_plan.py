@@ -161,6 +161,11 @@ def test_a_plan_is_shown_from_above_from_the_side_and_as_a_table(
 def test_a_level_plan_has_no_profile_and_other_choices_their_words(
     cli: CommandLine, file: str
 ) -> None:
+    WaypointPlan([Waypoint(1, 1, 9), Waypoint(1.001, 1, 19)]).write(file)
+    shown = cli("plan", "show", file, "--table").out
+    [top] = [line.partition("┤")[2] for line in shown.splitlines() if "19.00 ┤" in line]
+    assert top.rstrip("\u2800 ") == top.rstrip(" "), "the way goes to the right, and it climbs"
+    assert top[0] == "\u2800"
     points = [Waypoint(1, 1, 9, damping=3), Waypoint(1.001, 1, 9)]
     WaypointPlan(points, repeat=2, speed=0).write(file)
     shown = cli("plan", "show", file, "--table").out

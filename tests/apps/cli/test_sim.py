@@ -191,6 +191,8 @@ def test_it_ends_by_itself_after_its_time(start: Any) -> None:
         ["--speed", "inf"],
         ["--count", "0"],
         ["--tcp", "nowhere"],
+        ["--tcp", "192.0.2.1:0"],  # an address of documents, not of this machine (RFC 5737)
+        ["--app-id", "4294967296"],
         ["--rate", "battery=2"],
         ["--rate", "battery"],
         ["--firmware", "9.9"],

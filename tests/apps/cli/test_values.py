@@ -495,6 +495,7 @@ def test_a_mission_that_was_left_early_is_told_as_it_is(
 def test_events_have_few_words_and_the_bar_its_share() -> None:
     show = shown_mission()
     assert [show._bar(done).count("█") for done in range(5)] == [0, 5, 10, 15, 20]
+    assert {len(show._bar(done)) for done in range(5)} == {20}
     show.uploading(Uploading(1, 4))
     assert show._line == f"uploading {show._bar(2)} 2 of 4"
     assert event_name(Reached(1)) == "reached"
@@ -775,8 +776,34 @@ def test_the_commonest_round_trip_has_40_blocks_and_the_others_their_share(
 
 
 def test_the_way_of_the_demo_is_all_its_legs_and_ends_beside_its_first_place() -> None:
-    flight = demo._Flight(track=[(0.0, 0.0), (3.0, 4.0), (3.0, 0.0)])  # north, east, m
+    flight = demo._Flight(track=[(1.0, 2.0), (4.0, 6.0), (4.0, 2.0)])  # north, east, m
     assert (flight.path_length_m, flight.returned_within_m) == (9.0, 3.0)
+    flight.heights = [(0.0, 1.0), (1.0, 7.0), (2.0, 3.25)]
+    assert "height  3.25 m   north   4.00 m   east   2.00 m" in demo._progress(flight).renderables
+
+
+async def test_a_stage_of_the_demo_takes_the_seconds_between_its_ends() -> None:
+    flight = demo._Flight()
+    await asyncio.sleep(3.0)
+    with flight.during("square"):
+        await asyncio.sleep(2.0)
+    assert flight.stages == pytest.approx({"square": 2.0})
+
+
+def test_an_order_to_a_simulator_that_is_refused_is_an_error(
+    monkeypatch: pytest.MonkeyPatch, cli: CommandLine
+) -> None:
+    answer = {"ok": False, "error": "there is no such order", "status": {}}
+    monkeypatch.setattr(sim, "send_order", lambda *_, **__: answer)
+    outcome = cli("sim", "ctl", "fall")
+    assert (outcome.status, outcome.out) == (ExitCode.USAGE, "")
+    assert "there is no such order" in outcome.err
+
+
+def test_a_key_of_a_simulator_is_in_one_place() -> None:
+    both = sim.RegisteredAppOptions(key="0f" * 32, key_file=Path("/none"))
+    with pytest.raises(UsageError, match="exclude each other"):
+        both.secret()
 
 
 # -- what a terminal shows, and what is refused in words ------------------------------------------
