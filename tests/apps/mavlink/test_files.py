@@ -14,6 +14,7 @@ from typing import Any
 import anyio
 import pytest
 
+from m100link.apps.mavlink import files
 from m100link.apps.mavlink.files import FileService
 from m100link.apps.mavlink.translator.codec import MavlinkMessage, Peer
 from m100link.log.folder import LogDirectory, LogEntry
@@ -292,6 +293,9 @@ async def test_a_file_is_read_by_pieces_and_by_bursts(rig: Rig, ftp: Client, nam
 async def test_no_path_leads_out_of_the_folder(ftp: Client, path: str) -> None:
     data = path.encode("utf-8", "surrogateescape")
     assert await ftp.ask(OPEN, data) == (NAK, bytes([NOT_FOUND]), 0)
+    if ".." in path.split("/"):
+        with pytest.raises(files._Refused):
+            files._path(data)
     if path not in ("log", ""):
         assert await ftp.ask(LIST, data) == (NAK, bytes([NOT_FOUND]), 0)
 

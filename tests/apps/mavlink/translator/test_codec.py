@@ -192,7 +192,7 @@ def test_a_key_takes_what_came_with_its_signature_alone(
     for signer, count in ((PacketSigner(KEY), with_key), (None, without)):
         reading = MessageReader(bytes(20) + data, signer=signer, now=1000)
         assert [one.name for one in reading] == [name] * count
-    assert reading.checked == len(data)
+        assert reading.checked == len(data)
 
 
 def test_a_wrong_signature_does_not_lock_out_the_right_one() -> None:

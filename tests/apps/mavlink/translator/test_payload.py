@@ -16,6 +16,7 @@ from m100link.apps.mavlink.translator.codec import LAYOUTS
 from m100link.apps.mavlink.translator.numbers import MavCommand, MavResult
 from m100link.apps.mavlink.translator.telemetry import STREAMS
 from m100link.geodesy import normalize_degrees
+from m100link.protocol.commands.gimbal import GimbalSpeed
 from m100link.sim.line import LineFaults
 from m100link.sim.vehicle.gimbal import GimbalMount
 from m100link.sim.vehicle.settings import AircraftSettings
@@ -501,6 +502,8 @@ async def test_a_rate_turns_until_the_next_order(rig: Rig, ground: Ground) -> No
     start = looks(rig)
     await anyio.sleep(4.0)
     pitch, yaw = looks(rig)
+    sent = [one.command for one in rig.aircraft.autopilot.received_commands]
+    assert sum(isinstance(one, GimbalSpeed) for one in sent) == pytest.approx(16, abs=2)
     assert pitch - start[0] == pytest.approx(-20.0, abs=2.0)
     assert normalize_degrees(yaw - start[1]) == pytest.approx(40.0, abs=4.0)
     assert await ground.ask(POINT, NAN, NAN, 0, 0, 0, NAN, 1) is ACCEPTED
@@ -530,6 +533,9 @@ async def test_sticks_turn_it_at_a_share_of_45_degrees_a_second(
     await anyio.sleep(1.0)
     share = max(-1.0, min(1.0, rate))
     assert normalize_degrees(looks(rig)[1] - start) == pytest.approx(45 * share, abs=6.0)
+    fields |= {"pitch": 0.1}
+    ground.send("GIMBAL_MANAGER_SET_MANUAL_CONTROL", target_system=1, target_component=1, **fields)
+    await rig.until(lambda: "an angle has no unit there" in ground.texts)
 
 
 async def test_an_attitude_is_a_quaternion_in_the_frame_of_the_flags(

@@ -696,11 +696,44 @@ def test_a_flight_to_a_place_ends_there_before_a_fence(leg: FlyTo | None, held: 
     assert is_held(flying((10.0, 0.0), leg), circle(12.0)) is held
 
 
-@pytest.mark.parametrize(("radius", "held"), [(20.0, False), (19.0, True), (30.0, True)])
-def test_a_circle_is_flown_around_its_middle_before_a_fence(radius: float, held: bool) -> None:
-    """20 m west of the middle, at 5 m/s north: straight on it would be 22.6 m from the middle."""
+@pytest.mark.parametrize(
+    ("speed", "radius", "fence", "held"),
+    [
+        (5.0, 20.0, 21.0, False),
+        (5.0, 19.0, 21.0, True),
+        (5.0, 30.0, 21.0, True),
+        (2.2, 20.0, 20.3, False),
+    ],
+)
+def test_a_circle_is_flown_around_its_middle_before_a_fence(
+    speed: float, radius: float, fence: float, held: bool
+) -> None:
+    """20 m west of the middle, to the north: straight on it would be 22.6 m from the middle.
+
+    At 2.2 m/s, which look 4.4 m ahead, that is 20.5 m.
+    """
     leg = FlyAround(*HERE.to_geodetic(0.0, 20.0), 8.0, radius)
-    assert is_held(flying((5.0, 0.0), leg), circle(21.0, 0.0, 20.0)) is held
+    assert is_held(flying((speed, 0.0), leg), circle(fence, 0.0, 20.0)) is held
+
+
+@pytest.mark.parametrize("turn", [1, 1j, -1, -1j])
+def test_out_of_an_excluded_circle_the_way_leads_out_from_its_first_metre(turn: complex) -> None:
+    """6 m from its middle, of 10 m, on any side."""
+    one = vehicle()
+    one._missions.fence = read_fence([circle(10.0, (6 * turn).real, (6 * turn).imag, 5004)])
+    for way, is_out in ((40 * turn, False), (-12 * turn, True), (-400 * turn, True)):
+        why = one._may_fly_to(None, HERE.to_geodetic(way.real, way.imag), 0.0)
+        assert ("does not lead out straight" in why) is not is_out
+
+
+@pytest.mark.parametrize(("beside", "is_entered"), [(9.9, True), (14.0, False)])
+def test_ten_kilometres_straight_do_not_pass_below_a_circle(
+    beside: float, is_entered: bool
+) -> None:
+    """The chord of such a way lies 2 m below the ground: length² / (8 · 6371 km)."""
+    [area] = read_fence([circle(10.0, 0.0, beside, 5004)]).areas
+    ends = HERE.to_geodetic(-5000.0, 0.0), HERE.to_geodetic(5000.0, 0.0)
+    assert area.is_entered(*ends) is is_entered
 
 
 def test_from_outside_a_flight_may_lead_back_and_never_farther_away() -> None:
