@@ -96,6 +96,9 @@ def test_reading_tells_what_it_cost() -> None:
     reading = MessageReader(bytes(500) + valid + bytes(500))
     assert [message.name for message in reading] == ["COMMAND_LONG"]
     assert reading.checked == len(valid)
+    broken = MessageReader(bytes(500) + valid[:-1] + bytes([valid[-1] ^ 1]))
+    assert list(broken) == []
+    assert broken.checked == len(valid)
     overlapping = MessageReader(b"\xfe\xf0\0\0\0\0" * 230)
     assert list(overlapping) == []
     assert overlapping.checked > 30 * 1380

@@ -16,7 +16,7 @@ from m100link.apps.mavlink.translator.codec import LAYOUTS
 from m100link.apps.mavlink.translator.numbers import MavCommand, MavResult
 from m100link.apps.mavlink.translator.telemetry import STREAMS
 from m100link.geodesy import normalize_degrees
-from m100link.protocol.commands.gimbal import GimbalSpeed
+from m100link.protocol.commands.gimbal import GimbalAngle, GimbalSpeed
 from m100link.sim.line import LineFaults
 from m100link.sim.vehicle.gimbal import GimbalMount
 from m100link.sim.vehicle.settings import AircraftSettings
@@ -513,6 +513,17 @@ async def test_a_rate_turns_until_the_next_order(rig: Rig, ground: Ground) -> No
     assert looks(rig) == pytest.approx(rests, abs=0.01)
 
 
+async def test_a_turn_to_an_angle_takes_the_time_of_60_degrees_a_second(
+    rig: Rig, ground: Ground
+) -> None:
+    for pitch in (-30, -60):
+        assert await ground.ask(POINT, pitch, 0, NAN, NAN, 0, NAN, 1) is ACCEPTED
+        await anyio.sleep(3.0)
+    sent = [one.command for one in rig.aircraft.autopilot.received_commands]
+    *_, last = (one for one in sent if isinstance(one, GimbalAngle))
+    assert last.duration_s == pytest.approx(0.5, abs=0.11)
+
+
 async def test_a_turn_ends_with_its_peer(rig: Rig, ground: Ground) -> None:
     assert await ground.ask(POINT, NAN, NAN, -2, 0, 0, NAN, 1) is ACCEPTED
     ground.is_silent = True
@@ -700,6 +711,7 @@ async def test_it_looks_at_a_place_while_the_aircraft_flies(rig: Rig, ground: Gr
     # 20 m north and 15 m east of home, on the ground: 25 m away and 10 m below.
     place = home.frame.to_geodetic(20.0, 15.0)
     altitude = home.altitude_m
+    assert await ground.ask(LOOK, 1, 0, 0, 0, NAN, NAN, altitude) is DENIED
     assert await ground.ask(LOOK, 1, 0, 0, 0, *place, altitude) is ACCEPTED
 
     def error() -> float:

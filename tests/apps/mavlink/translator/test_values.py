@@ -28,8 +28,9 @@ from m100link.apps.mavlink.translator.vehicle_state import (
     mode_of_number,
     mode_of_standard,
 )
+from m100link.errors import UsageError
 from m100link.geodesy import LocalFrame
-from m100link.protocol.records import FlightStatus, Position, Velocity
+from m100link.protocol.records import Attitude, FlightStatus, Position, Velocity
 from m100link.protocol.setpoint import Setpoint
 from tests.apps.mavlink.conftest import session_of
 from tests.known import LATITUDE, LONGITUDE, Known, position
@@ -724,6 +725,27 @@ def test_out_of_an_excluded_circle_the_way_leads_out_from_its_first_metre(turn: 
     for way, is_out in ((40 * turn, False), (-12 * turn, True), (-400 * turn, True)):
         why = one._may_fly_to(None, HERE.to_geodetic(way.real, way.imag), 0.0)
         assert ("does not lead out straight" in why) is not is_out
+
+
+def test_polygons_share_a_frame_within_two_kilometres_alone() -> None:
+    items = []
+    for latitude, longitude in ((22.5, 113.9), (22.501, 113.901), (22.6, 113.9), (22.5, 114.0)):
+        for corner in (0.0, 1e-4), (1e-4, 0.0), (0.0, 0.0):
+            place = {"x": latitude + corner[0], "y": longitude + corner[1]}
+            fields: dict[str, float] = {name: round(one * 1e7) for name, one in place.items()}
+            fields |= {"command": 5001, "param1": 3.0}
+            items.append(MavlinkMessage("MISSION_ITEM_INT", fields))
+    first, near, north, east = (area.frame for area in read_fence(items).areas)
+    assert near is first
+    assert (north.latitude_deg, east.longitude_deg) == (22.6, 114.0)
+
+
+def test_a_gimbal_is_not_turned_by_a_heading_that_nobody_knows() -> None:
+    one = vehicle()
+    known: Any = one.world.known
+    del known.items[Attitude]
+    with pytest.raises(UsageError, match="heading of the aircraft is unknown"):
+        one._payload._heading()
 
 
 @pytest.mark.parametrize(("beside", "is_entered"), [(9.9, True), (14.0, False)])
