@@ -703,6 +703,24 @@ def test_sticks_may_fly_17_m_s(
     assert caught.value.limit == 10.0
 
 
+def test_sticks_fly_the_speed_of_the_envelope_and_lead_along_their_diagonal() -> None:
+    stand = Stand(Guards(envelope=Envelope(max_speed_m_s=17.0)))
+    stand.keeper.check_sticks(0.0, 1.0, 0.0, 0.0)
+    stand = Stand(Guards(envelope=Envelope(max_speed_m_s=25.0)))  # they lead north-west
+    for bearing, by in ((50.0, None), (40.0, "envelope")):  # where it is, too far away
+        stand.place = along(bearing, 151.0)
+        assert stand.refused_by(partial(stand.keeper.check_sticks, -1.0, 1.0, 0.0, 0.0)) == by
+
+
+@pytest.mark.parametrize(("round_trip_s", "by"), [(0.4, None), (0.41, "round_trip_s")])
+def test_sticks_are_not_moved_over_a_line_that_is_too_slow(
+    round_trip_s: float, by: str | None
+) -> None:
+    latency = SimpleNamespace(round_trip_s=round_trip_s, is_slow=True)
+    stand = Stand(Guards(round_trip_s=0.4), latency)
+    assert stand.refused_by(partial(stand.keeper.check_sticks, 0.0, 0.1, 0.0, 0.0)) == by
+
+
 def test_sticks_climb_and_descend_as_setpoints_do() -> None:
     stand = Stand(Guards())
     stand.height = 51.0
