@@ -547,6 +547,9 @@ async def test_sticks_turn_it_at_a_share_of_45_degrees_a_second(
     fields |= {"pitch": 0.1}
     ground.send("GIMBAL_MANAGER_SET_MANUAL_CONTROL", target_system=1, target_component=1, **fields)
     await rig.until(lambda: "an angle has no unit there" in ground.texts)
+    rates = {"angular_velocity_x": 0.1, "angular_velocity_y": 0.0, "angular_velocity_z": 0.0}
+    ground.send("GIMBAL_MANAGER_SET_ATTITUDE", target_system=1, flags=0, q=(NAN,) * 4, **rates)
+    await rig.until(lambda: "it cannot be rolled by a rate" in ground.texts)
 
 
 async def test_an_attitude_is_a_quaternion_in_the_frame_of_the_flags(

@@ -146,6 +146,8 @@ def test_turns_around_a_place_are_a_circle_at_a_speed_that_is_gentle() -> None:
     there = item(18, param1=2.0, param3=-4.0)
     around = FlyAround(-33.1234567, 151.2345678, 21.5, 4.0, 2.0, 2.0, clockwise=False)
     assert read(there).legs == [RoutePoint(0, around)]
+    small: Any = read(item(18, param1=2.0, param3=3.0)).legs[0].order
+    assert small.speed == 1.5  # twice around its radius in a second
     here = item(18, param1=0.5, param3=100.0, x=0, y=0, z=0.0)
     around = FlyAround(-33.1234567, 151.2345678, 21.5, 100.0, 3.5, 0.5, clockwise=True)
     assert read(item(16), here).legs == [leg(), RoutePoint(1, around)]
