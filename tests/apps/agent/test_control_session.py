@@ -8,6 +8,7 @@ from contextlib import AsyncExitStack, nullcontext
 from random import Random
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import patch
 
 import anyio
 import pytest
@@ -133,6 +134,11 @@ async def test_taken_kept_and_given_back(pilots: Pilots) -> None:
         await anyio.sleep(0.5)
         one.heard()
     assert agent.holding.has_authority
+    with patch.object(pilots.clients[0], "keep") as keep:
+        for _ in range(20):
+            await anyio.sleep(0.05)
+            one.heard()
+    assert 2 <= keep.call_count <= 3, "twice a second, however often it is heard"
     await one.give_back()
     assert at(one) is S.ABSENT
     assert pilots.clients[0].holder.number == 0
@@ -445,12 +451,14 @@ async def test_whenever_it_is_let_go_nothing_stays_held(pilots: Pilots) -> None:
         asking = asyncio.create_task(one.obtain())
         for _ in range(draw.randrange(1, 40)):
             await asyncio.sleep(draw.choice([0.0, 0.0, 0.0, 0.02]))
+        had_ended = asking.done()
         if is_cancelled := draw.random() < 0.5:
             asking.cancel()
         else:
             one.let_go()
         (ended,) = await asyncio.gather(asking, return_exceptions=True)
         assert ended is None or isinstance(ended, NoAuthority | asyncio.CancelledError)
+        assert is_cancelled or (ended is None) is had_ended, (seed, attempt)
         if is_cancelled and ended is None:
             one.let_go()
         await anyio.sleep(0.5)
@@ -458,6 +466,26 @@ async def test_whenever_it_is_let_go_nothing_stays_held(pilots: Pilots) -> None:
         assert agent.leases.holder(agent.now) is None, (seed, attempt)
         assert not agent.holding.has_authority, (seed, attempt)
         one.close()
+
+
+@pytest.mark.parametrize("error", [None, TaskRefused("busy")])
+async def test_control_that_is_let_go_while_it_is_asked_for_is_not_obtained(
+    pilots: Pilots, error: M100Error | None
+) -> None:
+    one, client = session(pilots), pilots.clients[0]
+    asks = client.ask
+
+    async def ask(order: orders.Order, *rest: Any, **more: Any) -> Any:
+        if not isinstance(order, orders.Obtain):
+            return await asks(order, *rest, **more)
+        one.let_go()
+        if error is not None:
+            raise error
+        return None
+
+    with patch.object(client, "ask", ask), pytest.raises(NoAuthority):
+        await one.obtain()
+    assert at(one) is S.ABSENT
 
 
 async def test_what_waits_behind_a_request_that_is_let_go_is_not_wanted_either(
@@ -919,3 +947,19 @@ async def test_a_landing_that_is_refused_is_asked_for_again_for_a_minute(
     agent.view.is_on_ground = True
     await session.bring_down(orders.Land(), 3.5)
     assert asked == [], "it is where it is wanted"
+    ends = iter([NotObserved("it went on")] * 130)  # each is another minute
+
+    async def unseen(order: orders.Order, *_: Any) -> None:
+        if isinstance(order, orders.Land) and (end := next(ends, None)) is not None:
+            raise end
+
+    agent.ask, agent.view.is_on_ground, agent.has_authority = unseen, False, True
+    await session.bring_down(orders.Land(), 3.5)
+    assert next(ends, None) is None
+
+
+def test_how_long_an_agent_was_silent_is_told_in_seconds() -> None:
+    one: Any = object.__new__(ControlSession)
+    view = SimpleNamespace(hearing=None, is_gone=False, at=104.2, heard_at=100.0)
+    one._agent, one._terms = SimpleNamespace(view=view, holder=None), SimpleNamespace(who="it")
+    assert "has said nothing for 4 s; nothing was sent" in one._no_control().seen
