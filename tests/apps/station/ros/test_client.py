@@ -120,6 +120,7 @@ def test_what_is_no_json_is_refused(frame: str | bytes) -> None:
     bench.client.receive(frame, 0.0)
     (status,) = bench.output()
     assert status["level"] == "error"
+    assert ("null stands for no number" in status["msg"]) is (frame == '{"op":NaN}')
 
 
 @given(st.binary(max_size=200) | st.text(max_size=200))

@@ -148,9 +148,15 @@ def unpack_png(frame: str) -> str:
         at += 12 + size
     width, height, depth, colour = struct.unpack_from(">IIBB", chunks[b"IHDR"])
     assert (depth, colour) == (8, 2)
+    assert abs(width - height) <= 3, "about a square"
     rows, stride = zlib.decompress(chunks[b"IDAT"]), 3 * width + 1
     assert len(rows) == height * stride
     return b"".join(rows[i * stride + 1 : (i + 1) * stride] for i in range(height)).decode()
+
+
+def test_what_is_no_value_of_a_message_is_not_written_as_null() -> None:
+    with pytest.raises(TypeError, match="object is not a value of a ROS message"):
+        MESSAGES["std_msgs/String"].to_json({"data": object()})
 
 
 @given(st.text(min_size=1, max_size=300))
@@ -179,6 +185,7 @@ def test_fragments_in_any_order_make_the_text(text: str, size: int, random: Any)
         {"id": [], "data": "x", "num": 0, "total": 1},
         {"id": "1", "data": 5, "num": 0, "total": 1},
         {"id": "1", "data": "x", "num": True, "total": 1},
+        {"id": "1", "data": "x", "num": 0.0, "total": 1},
         {"id": "1", "data": "x", "num": 1, "total": 1},
         {"id": "1", "data": "x", "num": -1, "total": 1},
         {"id": "1", "data": "x", "num": 0, "total": 1001},
