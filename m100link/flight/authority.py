@@ -59,10 +59,7 @@ class AuthorityInput(Enum):
 _S, _I = AuthorityState, AuthorityInput
 
 TRANSITIONS: dict[AuthorityState, dict[AuthorityInput, AuthorityState]] = {
-    _S.NONE: {
-        _I.OBTAIN: _S.OBTAINING,
-        _I.RELEASE: _S.RELEASING,
-    },
+    _S.NONE: {_I.OBTAIN: _S.OBTAINING, _I.RELEASE: _S.RELEASING},
     _S.OBTAINING: {
         _I.OBTAINED: _S.HELD,
         _I.REFUSED: _S.NONE,
@@ -102,15 +99,8 @@ TRANSITIONS: dict[AuthorityState, dict[AuthorityInput, AuthorityState]] = {
         _I.OBTAIN: _S.OBTAINING,
         _I.RELEASE: _S.RELEASING,
     },
-    _S.LOST: {
-        _I.OBTAIN: _S.OBTAINING,
-        _I.RELEASE: _S.RELEASING,
-    },
-    _S.RELEASING: {
-        _I.RELEASED: _S.NONE,
-        _I.NOT_RELEASED: _S.UNRELEASED,
-        _I.LINK_LOST: _S.LOST,
-    },
+    _S.LOST: {_I.OBTAIN: _S.OBTAINING, _I.RELEASE: _S.RELEASING},
+    _S.RELEASING: {_I.RELEASED: _S.NONE, _I.NOT_RELEASED: _S.UNRELEASED, _I.LINK_LOST: _S.LOST},
     _S.UNRELEASED: {
         # The pilot who takes it may give it back by going back to F, so only an ack and the app,
         # behind which a new request is needed, make an end.

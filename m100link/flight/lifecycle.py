@@ -116,23 +116,15 @@ _S, _I = BlockState, BlockInput
 _STOPS: dict[BlockInput | StopCause, BlockState] = dict.fromkeys(_C, _S.STOPPING)
 
 TRANSITIONS: dict[BlockState, dict[BlockInput | StopCause, BlockState]] = {
-    _S.NEW: {
-        _I.ENTER: _S.ENTERING,
-    },
+    _S.NEW: {_I.ENTER: _S.ENTERING},
     _S.ENTERING: {
         _I.OBTAINED: _S.FLYING,
         # The pilot may take the aircraft between the ack and the program's first line.
         _I.PAUSE: _S.PAUSED,
         **_STOPS,
     },
-    _S.FLYING: {
-        _I.PAUSE: _S.PAUSED,
-        **_STOPS,
-    },
-    _S.PAUSED: {
-        _I.RESUME: _S.FLYING,
-        **_STOPS,
-    },
+    _S.FLYING: {_I.PAUSE: _S.PAUSED, **_STOPS},
+    _S.PAUSED: {_I.RESUME: _S.FLYING, **_STOPS},
     _S.STOPPING: {
         _I.STOPPED: _S.OVER,
         # The rest of the stop path has nobody to talk to; the program gets this error.
