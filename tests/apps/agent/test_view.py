@@ -497,7 +497,7 @@ async def test_a_take_off_of_a_fleet_is_a_few_calls(monkeypatch: pytest.MonkeyPa
         "written once, and signed and sent as it was written"
     )
     assert counted["AgentServer._state"] == 1
-    assert on_line[0] <= 331, "from the order to its frame, at one instant"
+    assert on_line[0] <= 332, "from the order to its frame, at one instant"
     assert counted.total() <= 400, counted.most_common(12)
 
 
