@@ -16,7 +16,7 @@ from m100link.flight.guards import GuardKeeper, Guards
 from m100link.flight.guidance import Guidance
 from m100link.flight.lifecycle import BlockClaim, BlockState, StopCause
 from m100link.flight.loops import ClosedLoops
-from m100link.flight.missions.context import MissionContext
+from m100link.flight.missions.context import MissionContext, require_off_ground
 from m100link.flight.missions.mission_guard import MissionGuard
 from m100link.flight.missions.missions import Missions
 from m100link.flight.pacing import MAX_RATE_HZ, Tick, Ticker, period_of
@@ -375,7 +375,8 @@ class Control:
         """Send the neutral of the present mode for a moment, then nothing: the aircraft hovers.
 
         A closed loop that is flying in another task ends with :class:`NotObserved`. A program that
-        goes on sending setpoints flies on. It stops a mission that flies, also somebody else's.
+        goes on sending setpoints flies on. It stops a mission that flies, also somebody else's, and
+        one that is being prepared does not begin.
 
         Raises:
             MissionRefused, AckTimeout, NoAuthority: A mission may be flying on.
@@ -383,6 +384,7 @@ class Control:
         self._commander.link.require_loop()
         # First: a loop that flies would send its next setpoint 20 ms behind the neutral.
         self._guidance.interrupt()
+        self._mission_guard.call_off()
         if self.is_flying and self._mission_guard.flying:
             await self._missions.stop_mission()
         await self._setpoints.hover()
@@ -439,6 +441,7 @@ class Control:
         # Before the start: the aircraft ignores a neutral once the mission flies.
         await self._setpoints.hover()
         self._make_way(what)
+        require_off_ground(self.state, what)  # again: the plan, or a source, took its time
 
     # -- motors and tasks ------------------------------------------------------------------------
 
@@ -505,6 +508,8 @@ class Control:
         """Setpoints end, for what the autopilot does by itself; one thing at a time."""
         # Asked again: it may have waited 1.5 s for its guards, and the block have ended.
         self._block.require_flying(what)
+        if is_landing:  # also where it is refused, as during the take-off of that mission
+            self._mission_guard.call_off()
         self._mission_guard.require_none(what, is_landing=is_landing)
         if (running := self._steering.running_task) is not None:
             raise TaskRefused(

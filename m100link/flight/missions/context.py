@@ -20,7 +20,7 @@ from m100link.flight.missions.events import (
     MissionProgress,
     Reached,
 )
-from m100link.flight.tasks import describe_situation, stands
+from m100link.flight.tasks import describe_situation, is_on_ground, stands
 from m100link.geodesy import distance_m
 from m100link.missions.plan import AtEnd, WaypointPlan
 from m100link.protocol.codes import MissionCode
@@ -120,13 +120,19 @@ async def require_airborne(
             remedy="set the item to 1 Hz or more in the PC assistant",
         )
     # Started on the ground it may take off by itself, as DJI's sample does: by name alone.
-    if on_ground and not may_take_off:
+    if not may_take_off:
+        require_off_ground(state, what)
+    return on_ground
+
+
+def require_off_ground(state: AircraftState, what: str) -> None:
+    """Raise ``UsageError`` where it is seen to stand on the ground."""
+    if is_on_ground(state):
         raise UsageError(
             f"{what} was asked for on the ground ({describe_situation(state.situation())})",
             cause="the aircraft may take off by itself when a mission starts",
             remedy="await control.take_off() first; a waypoint mission takes take_off=True",
         )
-    return on_ground
 
 
 def check_envelope(envelope: Envelope, plan: WaypointPlan) -> None:

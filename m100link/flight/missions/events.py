@@ -206,7 +206,7 @@ class RunInput(Enum):
     REFUSED = "the aircraft refused it"
     PAUSED = "the aircraft accepted a pause"
     RESUMED = "the aircraft accepted that it goes on"
-    STOP = "a stop is about to be sent"
+    STOP = "a stop is about to be sent, or was asked for before the start"
     STOPPED = "the aircraft stopped it, or says that none is running"
     NOT_STOPPED = "the stop was not answered, or refused"
     FLOWN = "every waypoint was flown, and the mission goes on"
@@ -228,28 +228,16 @@ _IN_FLIGHT = {
 }
 
 TRANSITIONS: dict[RunState, dict[RunInput, RunState]] = {
-    _S.READY: {
-        _I.START: _S.STARTING,
-    },
+    _S.READY: {_I.START: _S.STARTING, _I.STOP: _S.OVER},
     _S.STARTING: {
         _I.STARTED: _S.FLYING,
         _I.REFUSED: _S.OVER,
         # A push before the ack waits for it: it may be about another mission.
         _I.STOP: _S.STOPPING,
     },
-    _S.FLYING: {
-        _I.PAUSED: _S.PAUSED,
-        **_IN_FLIGHT,
-    },
-    _S.PAUSED: {
-        _I.RESUMED: _S.FLYING,
-        **_IN_FLIGHT,
-    },
-    _S.ENDING: {
-        _I.STOP: _S.STOPPING,
-        _I.DETACH: _S.DETACHED,
-        **_ENDS,
-    },
+    _S.FLYING: {_I.PAUSED: _S.PAUSED, **_IN_FLIGHT},
+    _S.PAUSED: {_I.RESUMED: _S.FLYING, **_IN_FLIGHT},
+    _S.ENDING: {_I.STOP: _S.STOPPING, _I.DETACH: _S.DETACHED, **_ENDS},
     _S.RETURNING: {
         # Asked for by name alone: leaving the block lets the aircraft land where it was to land.
         _I.STOP: _S.STOPPING,
@@ -262,11 +250,7 @@ TRANSITIONS: dict[RunState, dict[RunInput, RunState]] = {
         _I.STOPPED: _S.OVER,
         _I.NOT_STOPPED: _S.UNSTOPPED,
     },
-    _S.UNSTOPPED: {
-        _I.STOP: _S.STOPPING,
-        _I.DETACH: _S.DETACHED,
-        **_ENDS,
-    },
+    _S.UNSTOPPED: {_I.STOP: _S.STOPPING, _I.DETACH: _S.DETACHED, **_ENDS},
     _S.DETACHED: {},
     _S.OVER: {},
 }

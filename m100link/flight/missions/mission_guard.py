@@ -24,6 +24,7 @@ from m100link.flight.missions.events import (
     STOPPED_CODES,
     MissionEvent,
     Ordered,
+    RunInput,
     RunState,
     mission_refused,
 )
@@ -70,6 +71,11 @@ class MissionGuard:
             )
         self._run = run
         self._watch.claim()
+
+    def call_off(self) -> None:
+        """A stop, or a way down: a mission that is being prepared does not begin any more."""
+        if self._run is not None and self._run.state is RunState.READY:
+            self._run.feed(RunInput.STOP)
 
     def give_back(self, run: MissionSession) -> None:
         """It could not be begun; one that may be flying all the same stays ours."""
@@ -152,6 +158,7 @@ class MissionGuard:
         if (ours := self._ours) is not None:
             await ours.stop()
             return ours.kind
+        self.call_off()
         self._stop_asked_at = self._commander.link.loop.time()
         # Without pushes (a box of the PC assistant), every kind gets a stop.
         kinds = list(self._watch.flying or ORDERS)

@@ -256,9 +256,11 @@ class MissionSession:
     async def start(self, request: Request[Any], code_of: Callable[[Any], int]) -> Any:
         """Send its start, and return the answer.
 
-        Raises ``MissionRefused``: the aircraft says no; nothing flies. Raises ``AckTimeout``:
-        nobody knows whether it flies: a stop is owed.
+        Raises ``NotObserved``: it was stopped meanwhile. Raises ``MissionRefused``: the aircraft
+        says no; nothing flies. Raises ``AckTimeout``: nobody knows whether it flies: a stop is
+        owed.
         """
+        self.require_wanted()
         self.listen()
         # Before the start leaves: from here on, any end of the block owes the aircraft a stop.
         self.feed(RunInput.START)
@@ -283,6 +285,14 @@ class MissionSession:
         self._apply(early)
         self._watching = asyncio.create_task(self._watch(), name=f"m100link {self.name}")
         return answer
+
+    def require_wanted(self) -> None:
+        """Raise ``NotObserved`` where a stop or a way down was asked for before the start."""
+        if self.state is RunState.OVER:
+            raise NotObserved(
+                f"the {self.name} was stopped before it began; its start was not sent",
+                cause="stop(), stop_mission(), land() or go_home() was called meanwhile",
+            )
 
     def _refused(self) -> None:
         """The aircraft says no. Not to a repetition: the transmission before may have begun it."""
@@ -339,7 +349,7 @@ class MissionSession:
 
         Raises ``AckTimeout, MissionRefused, LinkError``: it may be flying on.
         """
-        if self.feed(RunInput.STOP):
+        if self.feed(RunInput.STOP) and self.is_in_the_air:
             self._is_seen_over = False
             # When it has ended otherwise than by an answer, it was not heard.
             self._stopping = ShieldedTask(self._send_stop, lambda: self.feed(RunInput.NOT_STOPPED))

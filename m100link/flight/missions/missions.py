@@ -72,6 +72,7 @@ class Missions:
             MissionRunning, NoAuthority, UsageError, TelemetryStalled: Another mission flies; no
                 authority; on the ground; the flight status is unknown.
             AckTimeout, LinkError: See each class. A start that may have been heard is stopped.
+            NotObserved: It was stopped before it began.
             MissionAborted: While it flew the aircraft broke it off, with its reason.
         """
         if not isinstance(plan, WaypointPlan):
@@ -131,7 +132,7 @@ class Missions:
         Raises:
             UsageError: A value out of range, or too fast for the radius; on the ground.
             GuardRefused, CommandNotSupported, MissionRefused, MissionRunning, NoAuthority,
-            TelemetryStalled, AckTimeout, MissionAborted: See :meth:`waypoint_mission`.
+            TelemetryStalled, AckTimeout, MissionAborted, NotObserved: See :meth:`waypoint_mission`.
         """
         request = HotpointStart(
             latitude=math.radians(latitude_deg),
@@ -170,7 +171,7 @@ class Missions:
             UsageError: Below 5 m; the source is empty, a target is not a place, or jumps by more
                 than 200 m.
             GuardRefused, CommandNotSupported, MissionRefused, MissionRunning, NoAuthority,
-            TelemetryStalled, AckTimeout, MissionAborted: See :meth:`waypoint_mission`.
+            TelemetryStalled, AckTimeout, MissionAborted, NotObserved: See :meth:`waypoint_mission`.
         """
         return FollowFlight(
             self._context, self._guard, source, face_target=face_target, allow_far=allow_far

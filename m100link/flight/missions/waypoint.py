@@ -99,6 +99,7 @@ class WaypointFlight(MissionFlight):
         # Uploaded on the ground: a plan that the aircraft refuses costs no take-off.
         await self._upload()
         if is_on_ground and self._take_off is not None:
+            self._run.require_wanted()
             await self._take_off()
         await self._context.make_way(f"the {self._run.name}")
         await self._run.start(WaypointStartStop(stop=0), int)

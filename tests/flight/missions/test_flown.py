@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import AsyncIterator
+from contextlib import nullcontext
 from typing import Any
 
 import pytest
@@ -23,6 +24,7 @@ from m100link import (
     MissionAborted,
     MissionKind,
     MissionRunning,
+    NotObserved,
     OnRCLoss,
     Reached,
     Stay,
@@ -39,7 +41,7 @@ from m100link.geodesy import LocalFrame
 from m100link.missions.waypoint import WaypointAction
 from m100link.protocol.commands.control import Move
 from m100link.sim import AircraftSettings, LineFaults
-from tests.rig import NORTH, Rig, rig
+from tests.rig import NORTH, Rig, put_in_the_air, rig
 
 pytestmark = pytest.mark.anyio
 
@@ -350,6 +352,40 @@ async def test_no_mission_begins_beside_a_task() -> None:
                 pytest.fail("entered")
         await landing
         assert flown.virtual.height == 0.0
+
+
+@pytest.mark.parametrize("order", ["stop", "stop_mission", "land"])
+async def test_a_stop_before_it_begins_is_not_forgotten(order: str) -> None:
+    """During its own take-off; it began behind that, although the stop had returned."""
+    async with rig(firmware="3.1") as flown, flown.aircraft.control() as control:
+        mission = control.waypoint_mission(long_way(flown.aircraft), take_off=True)
+        entering = asyncio.ensure_future(mission.__aenter__())
+        while control.unended_task is None:  # noqa: ASYNC110 - no event tells of it
+            await asyncio.sleep(0.05)
+        with nullcontext() if order != "land" else pytest.raises(TaskRefused, match="during take"):
+            await getattr(control, order)()
+        with pytest.raises(NotObserved, match="waypoint mission was stopped before it began"):
+            await entering
+        await assert_at_rest(flown)
+        assert flown.aircraft.mission.kind is MissionKind.NONE
+        await control.climb_to(3.0)
+
+
+async def test_no_mission_begins_on_the_ground_where_its_source_took_its_time() -> None:
+    async with rig(firmware="3.1") as flown, flown.aircraft.control() as control:
+        put_in_the_air(flown.virtual, 8.0)
+        await asyncio.sleep(2.0)
+        here = frame(flown.aircraft)
+
+        async def late() -> AsyncIterator[Target]:
+            flown.virtual.vehicle.flight.land()  # by the pilot, or a low battery
+            await asyncio.sleep(30.0)
+            yield Target(*here.to_geodetic(15.0, 0.0))
+
+        with pytest.raises(UsageError, match="follow mission was asked for on the ground"):
+            async with control.follow_target(late()):
+                pytest.fail("entered")
+        assert not flown.is_running
 
 
 async def test_while_one_flies_the_experts_door_is_shut() -> None:

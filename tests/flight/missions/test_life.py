@@ -41,7 +41,7 @@ FLOWN = {
 
 # What changes something; every other pair must change nothing.
 EXPECTED: dict[RunState, dict[RunInput, tuple[RunState, str]]] = {
-    S.READY: STARTS,
+    S.READY: {**STARTS, I.STOP: (S.OVER, "nothing flies, and nothing is to begin")},
     S.STARTING: {
         I.STARTED: (S.FLYING, "the ack"),
         I.REFUSED: (S.OVER, "nothing flies"),

@@ -29,7 +29,14 @@ from m100link import (
 )
 from m100link.flight.authority import AuthorityState
 from m100link.flight.mission_state import MissionWatch
-from m100link.flight.missions.events import IN_THE_AIR, ORDERS, OWES_A_STOP, RunState
+from m100link.flight.missions.events import (
+    IN_THE_AIR,
+    ORDERS,
+    OWES_A_STOP,
+    TRANSITIONS,
+    RunInput,
+    RunState,
+)
 from m100link.flight.missions.mission_guard import MissionGuard
 from m100link.flight.stop_path import StopAction
 from m100link.geodesy import LocalFrame
@@ -366,6 +373,9 @@ class Ours:
     async def order(self, what: str) -> None:
         self.told.append(what)
 
+    def feed(self, what: RunInput) -> None:
+        self.state = TRANSITIONS[self.state][what]
+
     async def stop(self) -> None:
         self.told.append("stop")
 
@@ -450,6 +460,8 @@ async def test_who_flies_what_is_owed_and_who_is_told(
         await guard.stop_any()
         assert beside.sent == [orders.stop for orders in ORDERS.values()]
     assert ours is None or is_ours or ours.told == []
+    if ours is not None and state is RunState.READY:
+        assert ours.state is RunState.OVER, "what is being prepared does not begin behind a stop"
 
 
 @pytest.mark.parametrize("pushed_at", [100.0, 102.9, 103.1, 110.0])
