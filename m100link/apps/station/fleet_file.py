@@ -174,7 +174,6 @@ async def running_parts(
                 "name": name,
                 "settings": None if settings is None else agent_settings(settings),
                 "is_real": is_real,
-                "log": {},  # warnings, if nobody chose: this process prints only its own
             },
             note,
         )

@@ -142,12 +142,9 @@ def _write(line: str) -> None:
 
 
 @contextmanager
-def writing_log(output: LogOutput | None) -> Iterator[None]:
-    """Write the log of m100link to standard error while the block runs; None: as it was."""
+def writing_log(output: LogOutput) -> Iterator[None]:
+    """Write the log of m100link to standard error while the block runs."""
     global _in_force
-    if output is None:
-        yield
-        return
     logger = logging.getLogger("m100link")
     before, level = list(logger.handlers), logger.level
     lines = JsonLines() if output.as_json else logging.Formatter(*_TEXT_LINES)

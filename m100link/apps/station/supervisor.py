@@ -112,11 +112,8 @@ class ChildProcess:
     async def _ask(self, process: asyncio.subprocess.Process) -> bytes:
         assert process.stdin is not None
         assert process.stdout is not None
-        log = in_force()
-        request = self.request | {
-            "starts": self._starts,
-            "log": self.request.get("log") if log is None else asdict(log),
-        }
+        log = in_force() or LogOutput()  # warnings: the package by itself prints nothing
+        request = self.request | {"starts": self._starts, "log": asdict(log)}
         self._starts += 1
         process.stdin.write(json.dumps(request).encode() + b"\n")
         with suppress(ConnectionError):  # it has ended: its answer says why, if there is one
@@ -291,8 +288,7 @@ def run_child(work: Callable[[dict[str, Any], Ended], Awaitable[None]]) -> int:
                 raise
 
     try:
-        log = request["log"]  # as the parent does
-        with writing_log(None if log is None else LogOutput(**log)):
+        with writing_log(LogOutput(**request["log"])):  # as the parent does
             asyncio.run(run())
     except M100Error as error:
         from m100link.apps.agent.messages import RemoteError

@@ -138,5 +138,3 @@ def test_what_is_in_force_is_known_to_those_who_start_processes(shown: Shown) ->
     with writing_log(LogOutput("debug", as_json=True)):
         assert in_force() == LogOutput("debug", as_json=True)
     assert in_force() is None
-    with writing_log(None):
-        assert in_force() is None
