@@ -377,7 +377,7 @@ class Link(asyncio.Protocol):
             self._disconnected.set()
             if self._failure is None:
                 error = LinkLost(
-                    f"{self.name} went away" + (f": {exc}" if exc else ""),
+                    f"{self.name} went away" + (f": {str(exc) or repr(exc)}" if exc else ""),
                     cause="unplugged, powered off, or the other end closed",
                     remedy="check cable and power, then connect again",
                 )

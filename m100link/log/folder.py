@@ -98,11 +98,11 @@ class Flights:
                     remedy="name a folder of another disk",
                 )
             return await asyncio.shield(making)
-        except (asyncio.CancelledError, M100Error, OSError) as error:
+        except (asyncio.CancelledError, M100Error, OSError, RuntimeError, MemoryError) as error:
             making.add_done_callback(self._abandon)
             if isinstance(error, asyncio.CancelledError):
                 raise
-            why = error.seen if isinstance(error, M100Error) else f"{error}"
+            why = error.seen if isinstance(error, M100Error) else f"{error}" or repr(error)
             remedy = error.remedy if isinstance(error, UsageError) else ""
             if why != self._reported:
                 self._reported = why
@@ -125,7 +125,13 @@ class Flights:
         self._reported = ""
         self.newest = log.path
         self._tell(f"recorded into {log.path}", "info")
-        threading.Thread(target=self.make_room, name="m100link: old logs", daemon=True).start()
+        try:
+            threading.Thread(target=self.make_room, name="m100link: old logs", daemon=True).start()
+        except (
+            RuntimeError,
+            MemoryError,
+        ) as error:  # no thread is to be had: it flies all the same
+            self._tell(f"old flight logs stay: {str(error) or repr(error)}", "warning")
 
     @staticmethod
     def drop(log: Recorder) -> None:

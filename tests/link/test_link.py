@@ -495,6 +495,18 @@ async def test_closing_waits_for_what_is_in_either_buffer(size: int, out_waiting
     await closing
 
 
+@pytest.mark.parametrize(
+    ("met", "why"),
+    [(None, ""), (MemoryError(), ": MemoryError()"), (OSError("unplugged"), ": unplugged")],
+)
+async def test_a_lost_line_says_why(met: Exception | None, why: str) -> None:
+    link = Link()
+    link.connection_made(Line())
+    link.connection_lost(met)
+    assert link.failure is not None
+    assert link.failure.seen == f"link went away{why}"
+
+
 async def test_pushes_that_come_in_one_read_arrive_in_order() -> None:
     taken: list[bytes] = []
     link = Link(on_received=lambda frame, _: taken.append(frame.data))

@@ -167,6 +167,25 @@ async def test_what_cannot_be_recorded_is_reported_once_and_flown(
     assert "pip install '.[log]'" in told.all[0][1]
 
 
+@pytest.mark.parametrize("lacking", [RuntimeError("can't start new thread"), MemoryError()])
+async def test_a_log_for_which_there_is_no_thread_keeps_no_aircraft_from_flying(
+    lacking: Exception, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    why, start = str(lacking) or "MemoryError()", threading.Thread.start
+    for name, text in (("log ", "not recorded"), ("m100link: old logs", "old flight logs stay")):
+
+        def refuse(thread: threading.Thread, name: str = name) -> None:
+            if thread.name.startswith(name):
+                raise lacking
+            start(thread)
+
+        monkeypatch.setattr(threading.Thread, "start", refuse)
+        told = Told()
+        aircraft = await by_url("sim://", flights=Flights(tmp_path, tell=told))()
+        await aircraft.aclose()
+        assert told.all[-1] == ("warning", f"{text}: {why}")
+
+
 async def test_of_a_log_that_nobody_waits_for_only_one_that_was_made_is_closed() -> None:
     flights, loop = Flights(Path(), tell=Told()), asyncio.get_running_loop()
     closed: list[str] = []
