@@ -13,7 +13,8 @@ from typing import Any, cast
 
 import pytest
 
-from m100link.apps.station.supervisor import ChildProcess, Ended, run_child
+from m100link.apps.agent.background import Ended
+from m100link.apps.station.supervisor import ChildProcess, run_child
 from m100link.sim.clock import virtual_clock_loop
 
 FIRST = asyncio.FIRST_COMPLETED
