@@ -127,10 +127,7 @@ class Flights:
         self._tell(f"recorded into {log.path}", "info")
         try:
             threading.Thread(target=self.make_room, name="m100link: old logs", daemon=True).start()
-        except (
-            RuntimeError,
-            MemoryError,
-        ) as error:  # no thread is to be had: it flies all the same
+        except (RuntimeError, MemoryError) as error:  # without a thread it flies all the same
             self._tell(f"old flight logs stay: {str(error) or repr(error)}", "warning")
 
     @staticmethod
