@@ -613,7 +613,8 @@ async def test_a_process_is_asked_by_a_line_and_answers_by_one(
     assert ([*pids, one.pid], one.answer) == ([None, 4711], {"console_path": "/"})
     await one.start()
     asked = [json.loads(begun.asked) for begun in machine.begun]
-    assert asked == [{"place": 2, "starts": starts, "log": None} for starts in (0, 1)]
+    log = {"level": "warning", "as_json": False}
+    assert asked == [{"place": 2, "starts": starts, "log": log} for starts in (0, 1)]
     assert all(begun.asked.endswith(b"\n") for begun in machine.begun)
     command, how = machine.how[0]
     assert command[1:] == ("-m", "m100link.apps.station.process", "agent")
@@ -736,7 +737,7 @@ async def test_where_one_does_not_start_none_runs_on(monkeypatch: pytest.MonkeyP
 def test_a_child_works_until_a_signal_and_tells_its_fault(
     monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], error: M100Error | None
 ) -> None:
-    line = json.dumps({"place": 2, "log": None})
+    line = json.dumps({"place": 2, "log": {}})
     monkeypatch.setattr("sys.stdin", SimpleNamespace(readline=lambda: line))
     asked: list[Any] = []
 
@@ -750,7 +751,7 @@ def test_a_child_works_until_a_signal_and_tells_its_fault(
 
     assert supervisor.run_child(work) == (0 if error is None else 1)
     told = json.loads(capfd.readouterr().out)
-    assert asked == [{"place": 2, "log": None}]
+    assert asked == [{"place": 2, "log": {}}]
     if error is None:
         assert told == {"is_virtual": True}
     else:
@@ -763,7 +764,7 @@ def test_a_child_that_still_waits_for_what_never_comes_ends_in_order(
 ) -> None:
     """A process of a fleet file stayed for as long as its router was silent."""
     read, write = os.pipe()
-    stdin = SimpleNamespace(readline=lambda: '{"log": null}', fileno=lambda: read)
+    stdin = SimpleNamespace(readline=lambda: '{"log": {}}', fileno=lambda: read)
     monkeypatch.setattr("sys.stdin", stdin)
     in_order: list[str] = []
 
@@ -800,7 +801,7 @@ def test_a_child_of_a_supervisor_that_was_killed_tells_nobody(
     monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], ending: str
 ) -> None:
     """It ended by a traceback on the terminal of a station that was there no more."""
-    monkeypatch.setattr("sys.stdin", SimpleNamespace(readline=lambda: '{"log": null}'))
+    monkeypatch.setattr("sys.stdin", SimpleNamespace(readline=lambda: '{"log": {}}'))
 
     async def work(*_: object) -> None:
         if ending == "gone as it failed":
