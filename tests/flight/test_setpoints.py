@@ -18,6 +18,7 @@ from m100link.errors import UsageError
 from m100link.flight.setpoints import (
     NEUTRAL_TIME,
     SETPOINT_LIFETIME,
+    Pace,
     SetpointLoop,
     check_lifetime,
 )
@@ -631,6 +632,13 @@ async def renewed_each(rig: Rig, period: float, seconds: float) -> None:
     for turn in range(round(seconds / period)):
         rig.set(NORTH)
         await stand_still(rig, begin + turn * period + 1e-4, begin + (turn + 1) * period)
+
+
+def test_a_rate_is_the_frames_by_the_time_that_they_took() -> None:
+    pace = Pace(print, lambda: None)
+    for turn in range(4):
+        pace.sent(0.35 * turn, 0.35)
+    assert pace.rate_hz == pytest.approx(1 / 0.35)
 
 
 async def test_a_rate_that_is_not_kept_is_reported_once_a_minute_and_counted(
