@@ -13,6 +13,7 @@ from functools import partial
 from itertools import product
 from random import Random
 from types import FrameType
+from unittest.mock import patch
 
 import anyio
 import pytest
@@ -22,8 +23,9 @@ from m100link.apps.agent import orders
 from m100link.apps.agent.background import ignore
 from m100link.apps.agent.lease import Flown, LeaseChange, LeaseRefused, TakeOver
 from m100link.apps.agent.orders import ORDERS, AfterStop, ChangeHeight
+from m100link.apps.agent.server.agent import Agent
 from m100link.apps.agent.server.authority import HoldingState
-from m100link.apps.agent.server.connection import ConnectionState
+from m100link.apps.agent.server.connection import ConnectionState, by_driver
 from m100link.errors import (
     GuardRefused,
     M100Error,
@@ -83,6 +85,14 @@ async def test_a_setpoint_expires_and_hover_ends_it_at_once(rig: Rig, name: str)
     rig.agent.steer(rig.token, NORTH)
     await anyio.sleep(0.3)
     assert list(moves)[-1].roll_or_x == 0.0
+
+
+async def test_the_first_wish_of_all_after_a_loss_is_a_new_one(rig: Rig) -> None:
+    agent = Agent(by_driver(rig.driver))
+    agent._begin_anew = "control was lost meanwhile"
+    with patch.object(type(agent.holding), "has_authority", True):
+        agent._wanted()
+    assert agent._begin_anew == ""
 
 
 @pytest.mark.parametrize("token", ["", "wrong"])
