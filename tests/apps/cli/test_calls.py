@@ -911,7 +911,11 @@ def test_what_is_served(
 
 
 AGENTS: list[tuple[str, list[str], dict[str, Any]]] = [
-    ("tcp://a:1", ["a1"], {"lost": LostLinkPlan("hover", 10.0), "order_logs": True}),
+    (
+        "tcp://a:1",
+        ["a1"],
+        {"lost": LostLinkPlan("hover", 10.0), "order_logs": True, "log_rate": 1e6},
+    ),
     ("sim:// --name b --count 2", ["b1", "b2"], {"order_logs": None}),
     ("left=tcp://a:1 right=tcp://b:2", ["left", "right"], {"connect": ("tcp/127.0.0.1:7447",)}),
     (
