@@ -121,13 +121,6 @@ PROGRAMS = sorted(
     (*(str(path) for path in Path("examples").glob("*.py")), "examples/mavlink/square.py"),
     key=lambda path: (path != "examples/survey_with_photos.py", path),
 )
-# They wait for terminals, processes and a browser more than they compute; each has a process of
-# its own, as workers would read all of these files each. The longest begin first.
-LONG = (
-    *("cli/test_demo.py", "cli/test_fleet.py", "browser/test_flying.py", "processes.py"),
-    *("supervising_pty.py", "test_dropped.py", "sync/test_control.py"),
-)
-SMOKE = sorted(marked("smoke"), key=lambda path: not path.endswith(LONG))
 
 KINDS = {
     "lint": Kind(
@@ -160,7 +153,8 @@ KINDS = {
             "tests": [pytest(*QUICK, *VIRTUAL, *elsewhere("tests/apps"))],
             "tests of fronts": [pytest(*QUICK, "tests/apps", *elsewhere(*AIRBORNE))],
             "tests of agents": [pytest(*QUICK, *AIRBORNE)],
-            **{path: [pytest(*ALONE, "-m", "smoke", path)] for path in SMOKE},
+            # They wait for terminals, processes and a browser more than they compute.
+            "smoke tests": [pytest(*workers(6), "-m", "smoke", *marked("smoke"))],
         },
         groups=("test", "browser", "interop"),
     ),
@@ -192,8 +186,8 @@ KINDS = {
 # import, and the type checkers, which import nothing, are beside them meanwhile.
 DEFAULT = ("types", "quick", "docs", "lint")
 FULL = ("tests", "types", "manual", "lint", "browser", "examples", "interop")
-# What flies in real time, and how many at once. Each of the second takes what it can get.
-LANES = ((SMOKE, 6), (("tests (pty)", "browser"), 1), ((*PROGRAMS, "interop"), 2))
+# What flies in real time, and how many at once. Each of the first takes what it can get.
+LANES = ((("smoke tests", "tests (pty)", "browser"), 1), ((*PROGRAMS, "interop"), 2))
 
 
 @nox.session
