@@ -154,7 +154,7 @@ KINDS = {
             "tests of fronts": [pytest(*QUICK, "tests/apps", *elsewhere(*AIRBORNE))],
             "tests of agents": [pytest(*QUICK, *AIRBORNE)],
             # They wait for terminals, processes and a browser more than they compute.
-            "smoke tests": [pytest(*workers(6), "-m", "smoke", *marked("smoke"))],
+            "smoke tests": [pytest(*workers(4), "-m", "smoke", *marked("smoke"))],
         },
         groups=("test", "browser", "interop"),
     ),
