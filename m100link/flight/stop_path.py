@@ -228,10 +228,10 @@ class StopPath:
         # A status from before it could leave the ground proves nothing: time has to pass.
         state = self._commander.state
         until = self._clock() + 2 * _LEAVES_THE_GROUND_S + self._slack_s
-        while self._clock() < until and (stands := is_on_ground(state)) is not False:
-            if stands and not self._may_be_airborne():
-                break
-            await asyncio.sleep(_STATUS_POLL_S)  # right after connecting no status has come
+        while self._clock() < until and (  # noqa: ASYNC110 - no event tells of a belief
+            state.flight_status is None or (is_on_ground(state) and self._may_be_airborne())
+        ):
+            await asyncio.sleep(_STATUS_POLL_S)
         if not await self._stands() or not is_on_ground(state):
             if state.flight_status is None or state.flight_status.status == FlightPhase.STANDBY:
                 _logger.error("the motors were not stopped: nobody knows whether it stands")

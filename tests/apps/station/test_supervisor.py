@@ -45,7 +45,7 @@ def test_what_stays_is_not_walked_through_and_what_comes_later_is_collected() ->
 def test_a_child_shows_its_warnings_where_nobody_chose_a_log(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A front without a file descriptor let nobody in, and nobody was told why."""
+    """A front without a free file descriptor accepted no client and gave no reason."""
 
     async def work(request: dict[str, Any], ended: Ended) -> None:
         logging.getLogger("m100link.some.front").info("not asked for")
