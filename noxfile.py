@@ -183,11 +183,13 @@ KINDS = {
     ),
 }
 # What takes longest begins first; but in a new environment the first tests compile what all others
-# import, and the type checkers, which import nothing, are beside them meanwhile.
+# import, and pyright, which imports nothing, is beside them meanwhile.
 DEFAULT = ("types", "quick", "docs", "lint")
 FULL = ("tests", "types", "manual", "lint", "browser", "examples", "interop")
 # What flies in real time, and how many at once. Each of the first takes what it can get.
 LANES = ((("smoke tests", "tests (pty)", "browser"), 1), ((*PROGRAMS, "interop"), 2))
+# Flights leave half of the processors idle. These take what is left, and make way at once.
+BESIDE = ("mypy", "docs")
 
 
 @nox.session
@@ -398,10 +400,14 @@ def install(session: nox.Session, *requirements: str, locked: bool = True) -> No
 def run_all(session: nox.Session, commands: Commands) -> None:
     """Run commands and print what each said when it ends; fail at the end.
 
-    What computes comes first and is over before anything flies in real time: beside a type checker
-    a flight came to stand for half a second, which its guards end.
+    What computes comes first and is over before anything flies in real time, or has the priority of
+    an idle machine: beside a type checker that had more, a flight came to stand for half a second,
+    which its guards end.
     """
-    lanes = [({t: commands[t] for t in titles if t in commands}, width) for titles, width in LANES]
+    lanes = [
+        ({t: commands[t] for t in titles if t in commands}, width)
+        for titles, width in (*LANES, (BESIDE, 2))
+    ]
     computing = {t: commands[t] for t in commands if not any(t in lane for lane, _ in lanes)}
     ended = side_by_side(session, (computing, 1 + (os.cpu_count() or 1)))
     ended |= side_by_side(session, *lanes)
@@ -418,7 +424,7 @@ def side_by_side(session: nox.Session, *lanes: tuple[Commands, int]) -> dict[str
     with contextlib.ExitStack() as stack:
         pools = [stack.enter_context(ThreadPoolExecutor(width)) for _, width in lanes]
         running = {
-            title: pool.submit(run_lines, session, started, lines)
+            title: pool.submit(run_lines, session, started, lines, is_idle=title in BESIDE)
             for pool, (commands, _) in zip(pools, lanes, strict=True)
             for title, lines in commands.items()
         }
@@ -433,9 +439,9 @@ def side_by_side(session: nox.Session, *lanes: tuple[Commands, int]) -> dict[str
 
 
 def run_lines(
-    session: nox.Session, started: list[subprocess.Popen[str]], lines: list[Line]
+    session: nox.Session, started: list[subprocess.Popen[str]], lines: list[Line], *, is_idle: bool
 ) -> Outcome:
-    """Run programs of the session's environment."""
+    """Run programs of the session's environment, at the priority of an idle machine if wanted."""
     begun, taken = time.monotonic(), 0.0
     place = Path(session.bin)
     is_good = True
@@ -450,6 +456,8 @@ def run_lines(
             text=True,
         ) as process:
             started.append(process)
+            if is_idle and hasattr(os, "SCHED_IDLE"):
+                os.sched_setscheduler(process.pid, os.SCHED_IDLE, os.sched_param(0))
             assert process.stdout is not None
             output = process.stdout.read()
             _, status, used = os.wait4(process.pid, 0)
