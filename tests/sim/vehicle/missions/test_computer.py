@@ -188,6 +188,15 @@ def test_going_home_at_low_battery_may_be_switched_off() -> None:
     assert program.vehicle.missions.running is not None
 
 
+def test_the_status_comes_at_its_rate_from_the_first_mission_on() -> None:
+    program = host(status_when_idle=False, status_hz=5.0)
+    program.wait(20.0)
+    assert not program.pushes(0x03)
+    begin(program, LONG)
+    program.wait(2.0)
+    assert len(program.pushes(0x03)) == pytest.approx(10, abs=1)
+
+
 def test_a_restart_forgets_everything() -> None:
     program = on_the_way(host(status_when_idle=False))
     program.aircraft.reboot()

@@ -189,6 +189,13 @@ PLANS: dict[str, tuple[list[tuple[float, float, float]], dict[str, Any], dict[st
         Code.TAKES_TOO_LONG,
     ),
     "once is not": ([(0, 0, 10), (1900, 0, 10)], {"idle_speed": 2.5}, {}, OK),
+    "too far for the battery": (
+        [(1500, 0, 10), (600, 0, 10)],  # 22 minutes, less a tenth: 1,188 s, not 750 + 458
+        {"idle_speed": 2.0},
+        {},
+        Code.TAKES_TOO_LONG,
+    ),
+    "not too far for it": ([(1400, 0, 10), (600, 0, 10)], {"idle_speed": 2.0}, {}, OK),
     "begins far away": ([(2001, 0, 10), (2050, 0, 10)], {}, {}, Code.TOO_FAR_AWAY),
     "begins as far as allowed": ([(1999, 0, 10), (2050, 0, 10)], {}, {}, OK),
     "in a zone": ([(0, 0, 10), (30, 0, 10)], {}, {"no_fly_zones": ()}, OK),

@@ -19,7 +19,11 @@ from m100link.protocol.commands.hotpoint import (
     HotpointStart,
 )
 from m100link.protocol.commands.missions import HotpointStatus
-from m100link.sim.vehicle.missions.hotpoint import largest_rate
+from m100link.protocol.records import RcMode
+from m100link.sim.vehicle.dynamics import Dynamics, ModelVertical, ModelYaw
+from m100link.sim.vehicle.missions.hotpoint import FollowExecution, HotpointExecution, largest_rate
+from m100link.sim.vehicle.missions.route import LocalPlace, MissionSettings, Site
+from m100link.sim.vehicle.remote import Sticks
 from tests.sim.host import Host
 from tests.sim.vehicle.missions.flights import OK, host, hotpoint, radians_at, where
 
@@ -63,6 +67,10 @@ def raw(program: Host, **fields: Any) -> Code:
     assert ack is not None
     assert len(ack.data) == 5
     return Code(ack.data[0])
+
+
+def sticks(roll: float = 0.0, pitch: float = 0.0, yaw: float = 0.0, up: float = 0.0) -> Sticks:
+    return Sticks(roll, pitch, yaw, up, RcMode.F, gear_down=True)
 
 
 # --- codes ----------------------------------------------------------------------------------
@@ -188,6 +196,68 @@ def test_the_nose_as_it_was_or_by_the_stick(mode: int) -> None:
     program.ask(HotpointResetYaw())
     program.wait(4.0)
     assert program.vehicle.heading_deg == pytest.approx(0.0, abs=1.0)
+
+
+def on_a_circle(settings: MissionSettings | None = None, **fields: Any) -> HotpointExecution:
+    """Around (7, -17) at 20 m, 10 m away from it on the bearing of 53.13 degrees."""
+    motion = Dynamics()
+    motion.place(13.0, -9.0, 19.9, yaw_deg=25.0)
+    command = hotpoint(7.0, -17.0, start_point=4, **fields)
+    centre = LocalPlace(7.0, -17.0, 20.0)
+    settings = settings or MissionSettings()
+    execution = HotpointExecution(command, centre, motion, motion.airframe, settings)
+    execution.guide(sticks())
+    assert execution.doing == "circles"
+    return execution
+
+
+@pytest.mark.parametrize("clockwise", [1, 0])
+@pytest.mark.parametrize(
+    ("mode", "off"), [(0, 90.0), (1, 180.0), (2, 0.0), (3, 25.0 - 53.13), (4, 25.0 - 53.13)]
+)
+def test_the_velocity_and_heading_on_a_circle_that_it_has_left_by_two_metres(
+    mode: int, off: float, clockwise: int
+) -> None:
+    """2.618 m/s along it, 0.8 m/s inwards per metre, and a lead for the pull of 0.685 m/s²."""
+    execution = on_a_circle(yaw_mode=mode, clockwise=clockwise)
+    motion, sign = execution._motion, 1.0 if clockwise else -1.0
+    motion.north, motion.east = 7.0 + 7.2, -17.0 + 9.6  # 12 m away
+    guidance = execution.guide(sticks())
+    rate, ahead = math.radians(15.0), math.radians(53.130 + sign * 15.0 * 0.2)
+    pull = rate**2 * 10.0 / 1.6
+    assert (guidance.a, guidance.b, guidance.up) == pytest.approx(
+        (
+            sign * 10.0 * rate * -0.8 - 1.6 * 0.6 - pull * math.cos(ahead),
+            sign * 10.0 * rate * 0.6 - 1.6 * 0.8 - pull * math.sin(ahead),
+            20.0,
+        ),
+        abs=1e-4,
+    )
+    assert (guidance.vertical, guidance.yaw_mode) == (ModelVertical.HEIGHT, ModelYaw.ANGLE)
+    # The aircraft turns later than it is told to: by 1 / 2.0 and 0.15 s.
+    wanted = 53.13 + (sign * off if mode == 0 else off) + (sign * 15.0 * 0.65 if mode < 3 else 0.0)
+    assert math.remainder(math.degrees(guidance.yaw) - wanted, 360.0) == pytest.approx(0, abs=0.01)
+    motion.velocity_north, motion.velocity_east = -1.0, 2.0
+    told = execution.status(is_paused=False)
+    # Of (-1, 2) m/s, 2 x 0.6 + 1 x 0.8 m/s go round: 9.55 degrees a second at 12 m.
+    assert (told.status, told.radius_cm, told.rate) == (1, 1200, 95)
+    motion.east = -17.0 + 120.0
+    assert execution.is_out_of_reach
+
+
+def test_sticks_move_height_radius_and_nose_by_their_rates() -> None:
+    """In 0.01 s: 4 m/s and 3 m/s and 100 degrees a second at the end of the travel."""
+    execution = on_a_circle(yaw_mode=2, angular_rate=0.0)
+    guidance = execution.guide(sticks(pitch=0.5, yaw=-0.25, up=-0.75))
+    assert guidance.up == pytest.approx(20.0 - 0.03)
+    assert execution._radius == pytest.approx(10.0 - 0.015)
+    assert math.degrees(guidance.yaw) == pytest.approx(53.1301 - 0.25, abs=1e-3)
+    execution.set_radius(40.0)
+    execution.guide(sticks())
+    assert execution._flown_radius == pytest.approx(10.0 - 0.015 + 0.03)
+    execution.set_radius(5.0)
+    execution.guide(sticks())
+    assert execution._flown_radius == pytest.approx(10.0 - 0.015)
 
 
 # --- changes on the way ---------------------------------------------------------------------
@@ -323,6 +393,31 @@ def test_it_keeps_the_offset_of_the_start(rate_hz: float) -> None:
     assert where(program)[1] == pytest.approx(end, abs=0.5)
 
 
+@pytest.mark.parametrize(
+    ("north", "east", "share"),
+    [(3.0, -2.0, 1.0), (9.0, -6.0, 10.0 / math.hypot(24.426, -16.284))],
+)
+def test_the_velocity_that_follows_a_target(north: float, east: float, share: float) -> None:
+    """That of the target, half a second after its last place, and 0.7 m/s per metre behind."""
+    motion = Dynamics()
+    motion.place(-10.0, 6.0, 15.0)
+    site = Site(22.5431, 113.9589, 120.0, settings := MissionSettings())
+    begun = FollowStart(*radians_at(2.0, -3.0), yaw_mode=0)
+    follow = FollowExecution(begun, motion, motion.airframe, settings, site)
+    follow.silence = 0.5
+    follow.update(FollowTarget(*radians_at(2.0 + north, -3.0 + east)))
+    guidance = follow.guide(sticks(yaw=0.5))
+    wanted = [2.0 * by + 0.7 * (by + 0.01 * 2.0 * by) for by in (north, east)]
+    assert [guidance.a, guidance.b] == pytest.approx([share * one for one in wanted], abs=2e-3)
+    assert (guidance.up, guidance.yaw_mode) == (15.0, ModelYaw.RATE)
+    assert math.degrees(guidance.yaw) == pytest.approx(50.0)
+    motion.north, motion.east = -11.0, 7.0  # a metre behind it on each axis
+    follow.silence = 2.0  # it is taken as standing still
+    guidance = follow.guide(sticks())
+    wanted = [0.7 * (north + 1.0), 0.7 * (east - 1.0)]
+    assert [guidance.a, guidance.b] == pytest.approx(wanted, abs=2e-3)
+
+
 def test_it_is_no_faster_than_10_metres_per_second() -> None:
     program = beside_the_target()
     start(program)
@@ -354,10 +449,10 @@ def test_a_jump_is_ignored() -> None:
 
 @pytest.mark.parametrize(("mode", "is_reversed"), [(1, False), (0, True)])
 def test_the_nose_towards_the_target(mode: int, is_reversed: bool) -> None:
-    program = beside_the_target(-10.0, -10.0, follow_yaw_reversed=is_reversed)
+    program = beside_the_target(-30.0, 10.0, follow_yaw_reversed=is_reversed)
     start(program, yaw_mode=mode)
     program.wait(4.0)
-    assert program.vehicle.heading_deg == pytest.approx(45.0, abs=2.0)
+    assert program.vehicle.heading_deg == pytest.approx(-18.43, abs=2.0)
 
 
 def test_the_nose_by_the_remote_control() -> None:

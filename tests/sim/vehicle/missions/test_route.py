@@ -6,8 +6,12 @@ from random import Random
 
 import pytest
 
+from m100link.sim.vehicle.dynamics import Dynamics, ModelYaw
 from m100link.sim.vehicle.missions.route import (
     LocalPlace,
+    MissionSettings,
+    MissionSteering,
+    OnLeg,
     RouteLeg,
     distance,
     legs_between,
@@ -129,3 +133,51 @@ def test_it_slows_down_so_that_it_stands_in_time(
     speed: float, left: float, expected: tuple[float, float]
 ) -> None:
     assert slowed(speed, left) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
+    ("speed", "along", "climb"),
+    [
+        (3.0, 3.0 - 1.0 / 1.6, 3.0),
+        (9.0, 2.2 + 2.5 / 1.6, 2.2 + 2.5 * 0.35),  # it gains no more than 2.5 m/s²
+        (-9.0, 2.2 - 2.5 / 1.6, 2.2 - 2.5 * 0.35),
+    ],
+)
+def test_the_velocity_that_leads_back_to_a_line_and_along_it(
+    speed: float, along: float, climb: float
+) -> None:
+    """10 m beside a line, at 2.2 m/s along it, braking by 1 m/s² before a curve of 10 m."""
+    motion = Dynamics()
+    motion.place(2.0, 3.0, 10.0)
+    motion.velocity_north, motion.velocity_east, motion.velocity_up = 1.0, 0.5, 2.0
+    steering = MissionSteering(motion, motion.airframe)
+    tangent, bend = LocalPlace(0.6, 0.0, 0.8), LocalPlace(0.04, 0.1, 0.0)
+    on = OnLeg(LocalPlace(8.0, 11.0, 12.0), tangent, LocalPlace(9.0, 9.0, 9.0))
+    ahead = OnLeg(LocalPlace(0.0, 0.0, 0.0), LocalPlace(9.0, 9.0, 9.0), bend)
+    guidance = steering.along(on, ahead, speed, -1.0, ModelYaw.RATE, 0.3)
+    # 3 m/s sideways at most; the pull of the curve is asked for by a difference over 1.6 1/s; the
+    # height comes back by 1.2 m/s per metre.
+    assert (guidance.a, guidance.b, guidance.up) == pytest.approx(
+        (
+            0.6 * along + 0.3 * 6.0 + 0.04 * speed**2 / 1.6,
+            0.3 * 8.0 + 0.1 * speed**2 / 1.6,
+            0.8 * climb + 1.2 * 2.0,
+        )
+    )
+    motion.place(7.0, 12.0, 12.0)  # 1.4 m beside it: 1 m/s per metre
+    guidance = steering.along(on, on._replace(bend=LocalPlace(0, 0, 0)), 0.0, 0.0, ModelYaw.RATE, 0)
+    assert (guidance.a, guidance.b, guidance.up) == pytest.approx((1.0, -1.0, 0.0))
+
+
+def test_a_steep_line_is_as_fast_as_85_percent_of_the_climb_and_0_2_s_are_looked_ahead() -> None:
+    motion = Dynamics()
+    steering = MissionSteering(motion, motion.airframe)
+    for up in (0.8, -0.8):
+        assert steering.steepest(LocalPlace(0.6, 0.0, up)) == pytest.approx(0.85 * 4.0 / 0.8)
+    assert steering.lead(5.0) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("rate", [-0.1, 100.1, math.nan])
+def test_the_status_comes_at_100_hz_at_most(rate: float) -> None:
+    with pytest.raises(ValueError, match="0 to 100 Hz"):
+        MissionSettings(status_hz=rate)

@@ -14,10 +14,11 @@ from m100link.protocol.commands.waypoint import (
     WaypointPauseResume,
     WaypointSetIdleSpeed,
 )
-from m100link.protocol.records import FlightPhase
+from m100link.protocol.records import FlightPhase, RcMode
 from m100link.sim import Airframe
 from m100link.sim.vehicle.missions.route import LocalPlace, legs_between
 from m100link.sim.vehicle.missions.waypoints import WaypointExecution, WaypointPhase
+from m100link.sim.vehicle.remote import Sticks
 from tests.sim.host import Host
 from tests.sim.vehicle.missions.flights import (
     OK,
@@ -95,6 +96,84 @@ def test_curves_are_flown_within_a_fifth_of_the_damping(damping: float, wind: fl
     assert farthest_beside(track, line) < 0.2 * damping  # type: ignore[arg-type] # three numbers
     for place in places[1:3]:
         assert nearest(track, place) > 0.3 * damping  # never through the point
+
+
+HALF, EARLY, LATE = (math.sin(math.pi / 4.0), math.pi / 4.0 - 0.1, math.pi / 4.0 + 0.1)
+
+
+@pytest.mark.parametrize(
+    ("damping", "at", "moves", "stick", "expected"),
+    [
+        # 4 m/s in a curve of 8 m; braking by 1.8 m/s², 2 m before it: the square root of
+        # 16 + 2 x 1.8 x 2, less 1.8 / 1.6.
+        (8.0, (30.0, 0.0), (4.8, 0.0), 1.0, (4.8166 - 1.125, 0.0)),
+        (8.0, (40.0, 10.0), (0.0, -4.8), -1.0, (0.0, -4.8166 + 1.125)),
+        # In it: the pull of 2 m/s² where it will be after 0.2 s.
+        *(
+            (
+                8.0,
+                (32.0 + 8.0 * HALF, 8.0 - 8.0 * HALF),
+                (way * 4.0 * HALF, way * 4.0 * HALF),
+                way,
+                (
+                    way * 4.0 * HALF - 1.25 * math.sin(then),
+                    way * 4.0 * HALF + 1.25 * math.cos(then),
+                ),
+            )
+            for way, then in ((1.0, LATE), (-1.0, EARLY))
+        ),
+        # Tighter ones than 1.5 m are flown more slowly: the square root of 2 x 1 x 1 / 1.5.
+        (1.0, (38.5, 0.0), (1.7, 0.0), 1.0, (math.sqrt(4.0 / 3.0 + 1.8) - 1.125, 0.0)),
+        # A corner is passed at 0.8 m/s; a metre before it, 0.8 m/s more would still stop.
+        (0.0, (39.0, 0.0), (1.0, 0.0), 1.0, (0.8 * math.sqrt(2.0) * (1.0 - 0.8 / 1.6), 0.0)),
+        (0.0, (1.0, 0.0), (-1.0, 0.0), -1.0, (-0.8 * (1.0 - 0.8 / 1.6), 0.0)),
+    ],
+)
+def test_the_velocity_before_and_in_a_curve(
+    damping: float,
+    at: tuple[float, float],
+    moves: tuple[float, float],
+    stick: float,
+    expected: tuple[float, float],
+) -> None:
+    program = host({"airframe": Airframe()})
+    places = [(0.0, 0.0, 10.0), (40.0, 0.0, 10.0), (40.0, 30.0, 10.0)]
+    points = [point(index, *place, damping=damping) for index, place in enumerate(places)]
+    begin(program, points, trace_mode=1, idle_speed=5.0)
+    flown, motion = program.vehicle.missions.running, program.motion
+    assert isinstance(flown, WaypointExecution)
+    assert [flown._is_passed(index) for index in range(3)] == [False, True, False]
+    motion.place(*at, 10.0)
+    motion.velocity_north, motion.velocity_east = moves
+    flown.phase, flown._s = WaypointPhase.FLY, at[0] + at[1]
+    guidance = flown.guide(Sticks(0.0, stick, 0.0, 0.0, RcMode.F, gear_down=True))
+    assert (guidance.a, guidance.b) == pytest.approx(expected, abs=2e-4)
+
+
+@pytest.mark.parametrize(
+    ("turn_mode", "before", "after", "shown"),
+    [(0, 90, -30, 150.0), (1, 90, -30, 60.0), (0, -30, 90, 0.0), (1, -30, 90, -90.0)],
+)
+def test_a_quarter_of_the_way_it_has_turned_a_quarter_and_aims_half_a_second_ahead(
+    turn_mode: int, before: int, after: int, shown: float
+) -> None:
+    program = host()
+    points = [
+        point(0, 0, 0, 10, yaw=before, gimbal_pitch=-10),
+        point(1, 40, 0, 10, yaw=after, gimbal_pitch=-50, turn_mode=turn_mode),
+    ]
+    begin(program, points, yaw_mode=3, gimbal_pitch_mode=1, idle_speed=4.0)
+    flown = program.vehicle.missions.running
+    assert isinstance(flown, WaypointExecution)
+    program.motion.place(10.0, 0.0, 10.0)
+    flown.phase, flown._s, flown._since_aimed = WaypointPhase.FLY, 10.0, 0.5
+    flown.guide(Sticks(0.0, 0.0, 0.0, 0.0, RcMode.F, gear_down=True))
+    turned = math.degrees(flown._nose._target)
+    assert math.remainder(turned - shown, 360.0) == pytest.approx(0.0, abs=0.01)
+    gimbal = program.vehicle.gimbal
+    for step in range(60):
+        gimbal.advance(program.now + 0.01 * step, 0.01)
+    assert gimbal.pitch == pytest.approx(-10.0 - 40.0 * (0.25 + 0.5 * 4.0 / 40.0), abs=0.01)
 
 
 def test_a_corner_without_a_curve_is_passed_within_a_metre_and_without_a_stop() -> None:
