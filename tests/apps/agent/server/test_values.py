@@ -299,6 +299,9 @@ async def test_the_longer_tasks_are_made_of_those_and_of_the_autopilots() -> Non
             pattern(number)
 
 
+AROUND = orders.FlyAround(1.0, 2.0, 8.0, 10.0, turns=1.5)
+
+
 @pytest.mark.parametrize(
     ("order", "found", "rest"),
     [
@@ -306,9 +309,9 @@ async def test_the_longer_tasks_are_made_of_those_and_of_the_autopilots() -> Non
         (orders.FlyTo(1.0, 2.0, 8.0, 4.0, 90.0), (40.0, 3.0, 5.0), (40.0, 10.0, 20.0)),
         (orders.FlyTo(1.0, 2.0, 8.0, 4.0, 90.0), (40.0, -60.0, 5.0), (40.0, 20.0, 20.0)),
         # 12 m to the circle, and one turn and a half of 2 pi 10 m at 2 m/s.
-        (orders.FlyAround(1.0, 2.0, 8.0, 10.0), (12.0, 0.0, 540.0), (106.25, 51.1, 60.0)),
-        (orders.FlyAround(1.0, 2.0, 8.0, 10.0), (0.0, -30.0, 540.0), (94.25, 57.1, 57.2)),
-        (orders.FlyAround(1.0, 2.0, 8.0, 10.0), (0.0, 0.0, -9.0), (0.0, 0.0, 0.0)),
+        (AROUND, (12.0, 0.0, 540.0), (106.25, 51.1, 60.0)),
+        (AROUND, (0.0, -30.0, 540.0), (94.25, 57.1, 57.2)),
+        (AROUND, (0.0, 0.0, -9.0), (0.0, 0.0, 0.0)),
         (orders.ChangeHeight(8.0), (7.0, -6.0, 5.0), (6.0, 2.0, 2.0)),
         (orders.ChangeHeading(-45.0), (7.0, -6.0, -45.0), (None, 0.5, 0.5)),
     ],
@@ -323,10 +326,13 @@ async def test_how_far_a_guided_flight_is(
     told: list[orders.GuidedFlight | None] = []
     background, begun = TaskSet(), list[int]()
 
-    async def loop(*_: Any, progress: Any, timeout: float, **__: Any) -> None:
+    async def loop(*_: Any, progress: Any, approach: Any = None, **__: Any) -> None:
         told.append(guiding.current())
         progress(GuidanceProgress(1.0, *found))
-        progress(GuidanceProgress(1.0, *found))
+        if found[2] == 540.0:  # on the way to a circle, all turns remain
+            approach(GuidanceProgress(1.0, *found[:2], 7.0))
+        else:
+            progress(GuidanceProgress(1.0, *found))
         told.append(guiding.current())
         flown.set()
 
