@@ -125,8 +125,7 @@ class Dropped(Enum):
 
 class SetpointStream:
     def __init__(self) -> None:
-        self._newest = (0, -math.inf)  # fence and stamp
-        self._flown_at = -math.inf
+        self._newest, self._flown_at = (0, 0.0), 0.0  # fence and stamp; no lease has the number 0
 
     def drop(self, steer: Steer, *, begins: bool, fence: int, now: float) -> Dropped | None:
         """Why it is not flown; None when it is.

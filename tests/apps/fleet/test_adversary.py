@@ -20,9 +20,11 @@ from typing import Any
 import anyio
 import pytest
 from cryptography import x509
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
 
 from m100link.apps.agent import orders
-from m100link.apps.bus.network import Question
+from m100link.apps.bus.network import QueryAnswer, Question
 from m100link.apps.fleet import pki
 from m100link.apps.fleet.client import Fleet
 from m100link.apps.fleet.identity import Rights, Signer
@@ -613,6 +615,37 @@ async def test_a_state_that_was_heard_before_is_heard_once(rig: Rig, keys: Keyri
     assert heard == [b"first", b"second"]
 
 
+async def test_each_aircraft_is_asked_once_a_second_and_each_answer_may_settle_a_question(
+    rig: Rig, keys: Keyring
+) -> None:
+    ada = SealedBus(rig.network.session(), authority=keys.authority)
+    asked, outlets, settled = list[str](), list[Any](), list[bytes]()
+    for name in NAMES:
+        key = Keys(SITE, name).state
+        bus = SealedBus(rig.network.session(), {name: keys.seals[name]})
+        held = bus.serve(key, lambda question: asked.append(question.key))
+        outlets.append((key, bus, bus.publish(key), held))
+    ada.subscribe(Keys(SITE, "*").state, lambda *_: None)
+    await anyio.sleep(2.0)
+    for _ in range(3):
+        for _, _, outlet, _ in outlets:
+            outlet.put(b"of one that nobody knows")
+            await anyio.sleep(0.02)
+    assert asked == [Keys(SITE, name).state for name in NAMES]
+    for key, bus, _, held in outlets:
+        held.close()
+        bus.serve(key, lambda question, key=key: question.answer(key, key.encode()))
+
+    def settles(answer: QueryAnswer) -> bool:
+        settled.append(answer.payload)
+        return False
+
+    await ada.ask(Keys(SITE, "*").state, timeout=1.0, settles=settles)
+    assert sorted(settled) == [Keys(SITE, name).state.encode() for name in NAMES]
+    [answer] = await SealedBus(rig.network.session()).ask(A1.state, timeout=1.0)
+    assert answer.payload == A1.state.encode(), "without an authority it is believed"
+
+
 async def test_an_agent_whose_calendar_was_set_back_is_heard_again(
     rig: Rig, keys: Keyring, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -711,3 +744,9 @@ async def test_an_aircraft_signs_by_a_certificate_of_its_own_name(tmp_path: Path
     with pytest.raises(UsageError, match="a1 has no certificate") as caught:
         Seal.read(tmp_path, "a1")
     assert caught.value.remedy == "make them: m100link fleet make fleet.toml"
+    pki.issue(tmp_path, pki.Kind.AGENT, "a1", now=now)
+    key = Ed25519PrivateKey.generate()
+    pem = key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
+    (tmp_path / "a1.key").write_bytes(pem)
+    with pytest.raises(UsageError, match=f"{tmp_path}/a1.key is no key of this program"):
+        Seal.read(tmp_path, "a1")

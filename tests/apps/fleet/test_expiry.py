@@ -24,6 +24,7 @@ def ages() -> OrderExpiry:
 
 
 def test_what_is_in_order_is_heard(ages: OrderExpiry) -> None:
+    ages.hear(0, ANEW, 9.5, 9.5)  # a landing needs no lease
     ages.hear(1, ANEW, 10.0, 10.1)
     ages.hear(1, ANEW, 10.0, 10.2)  # two at once
     ages.hear(1, ANEW, 11.0, 16.0)

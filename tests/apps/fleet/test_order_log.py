@@ -107,6 +107,25 @@ async def test_the_file_does_not_grow_without_end(tmp_path: Path, monkeypatch: A
     after.close()
 
 
+async def test_few_words_are_written_and_none_by_one_that_is_closed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The file is written anew with the fence and three orders, once six lines follow its first."""
+    monkeypatch.setattr("m100link.apps.fleet.order_log.MOST_KEPT", 3)
+    path, lines = tmp_path / "a1.jsonl", list[int]()
+    log = FileOrderLog(path, lambda: 0.0)
+    for number in range(10):
+        await log.begin(str(number))
+        lines.append(path.read_text().count("\n"))
+    for number in (FENCES_AT_ONCE, FENCES_AT_ONCE + 1):  # the first one reserves the second
+        await log.granted(log.leases_before + number)
+        lines.append(path.read_text().count("\n"))
+    assert lines == [2, 3, 4, 5, 6, 7, 8, 5, 6, 7, 8, 8]
+    log.close()
+    with pytest.raises(UsageError, match="Bad file descriptor"):
+        await log.begin("later")
+
+
 def test_two_agents_have_two_ledgers(tmp_path: Path) -> None:
     path = tmp_path / "a1.jsonl"
     first = FileOrderLog(path, lambda: 0.0)
@@ -493,15 +512,15 @@ def test_an_order_runs_then_has_an_outcome() -> None:
 
 
 def test_what_is_old_is_forgotten_but_not_what_runs() -> None:
-    cache = OrderCache()
-    cache.begin("a", b"a", 0.0)
-    cache.end(reply("a"), 0.0)
-    cache.begin("b", b"b", KEPT_S - 1)
+    cache, now = OrderCache(), 1e5
+    cache.begin("a", b"a", now)
+    cache.end(reply("a"), now)
+    cache.begin("b", b"b", now + KEPT_S - 1)
     assert cache.is_known("a")
-    cache.begin("c", b"c", KEPT_S)
+    cache.begin("c", b"c", now + KEPT_S)
     assert not cache.is_known("a")
     assert cache.is_known("b")
-    cache.begin("d", b"d", 3 * KEPT_S)
+    cache.begin("d", b"d", now + 3 * KEPT_S)
     assert cache.is_known("b"), "it runs"
 
 
@@ -761,7 +780,7 @@ async def test_the_next_agent_goes_on_behind_a_line_that_was_cut_off(
 
 
 async def test_a_disk_without_room_costs_no_line(
-    own: tuple[Seal, x509.Certificate], tmp_path: Path
+    own: tuple[Seal, x509.Certificate], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "none" / "a1.audit"
     told: list[str] = []
@@ -770,10 +789,16 @@ async def test_a_disk_without_room_costs_no_line(
     await log.flush()
     assert len(told) == 1
     path.parent.mkdir()
-    log.add({"order": "later"})
-    await log.flush()
-    assert path.read_bytes() == log.since(1, 1 << 20)
-    assert log.since(1, 1 << 20).count(b"\n") == 7
+    for lines in (7, 9):
+        log.add({"order": "later"})
+        await log.flush()
+        assert path.read_bytes() == log.since(1, 1 << 20)
+        assert log.since(1, 1 << 20).count(b"\n") == lines
+        with monkeypatch.context() as patch:  # it takes a part
+            patch.setattr(os, "write", lambda handle, data, do=os.write: do(handle, data[:20]))
+            log.add({"order": "half"})
+            await log.flush()
+        assert told[-1].startswith(f"{path}: the disk is full: ")
 
 
 async def test_a_copy_is_brought_up_to_date_and_tells_what_became_less(
@@ -793,3 +818,5 @@ async def test_a_copy_is_brought_up_to_date_and_tells_what_became_less(
     assert len(found) == 7
     seen = f"line 7 of {copy} is not on board: altered, removed, or of a virtual run before"
     assert wrong == [seen]
+    with pytest.raises(UsageError, match="copies cannot be read: Is a directory"):
+        await merge_audit(copy.parent, "a1", fetch, own[1])
