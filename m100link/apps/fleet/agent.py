@@ -503,7 +503,7 @@ def _each_second(name: str, tell: Callable[[], None]) -> Callable[[], None]:
     known = _moments.setdefault(loop, {})
     moment = known.get(which)
     if moment is None or not moment.tells:
-        moment = known[which] = _Moment(loop, which * _CARD_S / _MOMENTS)
+        moment = known[which] = _Moment(loop, _CARD_S / _MOMENTS * which)
     moment.tells.append(tell)
     return partial(moment.leave, tell)
 

@@ -10,6 +10,7 @@ from functools import partial
 from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any
+from zlib import crc32
 
 import anyio
 import pytest
@@ -530,8 +531,10 @@ async def test_two_agents_of_one_name_are_refused(rig: Rig) -> None:
     one = await rig.aircraft("a1")
     await anyio.sleep(0.1)
     twin = FleetAgent(one.client, rig.network.session(), KEYS, MemoryOrderLog())
+    began_at = rig.utc()
     with pytest.raises(UsageError, match="another agent is named a1"):
         await twin.require_alone()
+    assert 2.0 <= rig.utc() - began_at < 3.5, "the token of one that was killed is seen for a while"
 
 
 async def test_stop_is_not_kept_waiting_by_long_orders(rig: Rig) -> None:
@@ -752,17 +755,20 @@ async def test_an_order_of_a_program_that_does_not_know_the_time_yet_is_logged_o
 
 
 async def test_agents_tell_each_second_by_twenty_timers_at_most() -> None:
-    told, ends = Counter[str](), []
+    """At the fifth of a second that the name says; one that is late leaves out what is over."""
+    told, ends, loop = Counter[str](), [], asyncio.get_running_loop()
     names = [f"a{number}" for number in range(200)]
+    await anyio.sleep(0.37)
 
     def tell(name: str) -> None:
         told[name] += 1
+        assert loop.time() % 1.0 == pytest.approx(crc32(name.encode()) % 5 / 5, abs=1e-6)
         if name == "a7":
             raise ValueError("one that fails keeps no other from telling")
 
     for name in names:
         ends.append(_each_second(name, partial(tell, name)))
-    timers = _moments[asyncio.get_running_loop()]
+    timers = _moments[loop]
     assert len(timers) <= 20
     await anyio.sleep(9.97)
     assert {told[name] for name in names} == {10}
@@ -774,4 +780,9 @@ async def test_agents_tell_each_second_by_twenty_timers_at_most() -> None:
     end = _each_second("a7", partial(tell, "later"))
     await anyio.sleep(2.01)
     assert told["later"] == 2
+    [timer] = [one for one in timers.values() if one.tells]
+    timer._timer.cancel()
+    timer._due = loop.time() - 2.5
+    timer._tell()
+    assert timer._due - loop.time() == pytest.approx(0.5)
     end()

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
+from unittest.mock import AsyncMock
 
 import anyio
 import pytest
@@ -320,6 +321,18 @@ async def test_a_mission_whose_place_another_one_took_is_not_reported_as_ours(
         await one.look()
     assert not one._events
     assert not one.is_over
+
+
+async def test_a_stop_whose_end_is_not_told_is_of_unknown_outcome(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    one, began_at, stop = mission(), anyio.current_time(), AsyncMock()
+    one._orders, one._boot = cast(Any, SimpleNamespace(stop=stop)), "run"
+    monkeypatch.setattr(flight, "mission_card", AsyncMock(return_value=a_card()))
+    with anyio.fail_after(60.0), pytest.raises(OutcomeUnknown, match="did not report its end"):
+        await one.stop()
+    assert anyio.current_time() - began_at == pytest.approx(10.0, abs=1.0)
+    stop.assert_called_once_with()
 
 
 async def test_a_speed_is_in_metres_and_answered_in_millimetres() -> None:

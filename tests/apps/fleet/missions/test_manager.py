@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
 import uuid
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import anyio
 import pytest
@@ -387,6 +388,16 @@ def manager() -> tuple[MissionManager, Any]:
     client: Any = SimpleNamespace(on_mission_report=[], on_lease=[], state=state, now=40.0)
     client.view = SimpleNamespace(get=lambda _: None)
     return MissionManager(client), client
+
+
+async def test_nothing_is_started_while_a_plan_is_uploaded() -> None:
+    """A start that waited for it could begin behind a STOP."""
+    one, _ = manager()
+    one.stage, one._digest, nothing = MissionStage.UPLOADED, "ab", cast(Any, None)
+    async with one._telling:
+        with pytest.raises(UsageError, match="a plan is being uploaded; nothing was started"):
+            await asyncio.wait_for(one.start(nothing, orders.StartMission("ab"), None), 1.0)
+    assert one.stage is MissionStage.UPLOADED
 
 
 def test_points_are_reached_when_the_second_byte_is_four() -> None:

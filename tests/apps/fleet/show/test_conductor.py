@@ -17,6 +17,7 @@ import anyio
 import pytest
 
 from m100link.apps.agent.latency import Offset
+from m100link.apps.agent.messages import MessageError
 from m100link.apps.fleet.identity import Rights, Signer
 from m100link.apps.fleet.keys import Keys
 from m100link.apps.fleet.payloads import (
@@ -30,7 +31,7 @@ from m100link.apps.fleet.payloads import (
     TakePlace,
 )
 from m100link.apps.fleet.show import track_executor
-from m100link.apps.fleet.show.conductor import Conductor, Part
+from m100link.apps.fleet.show.conductor import Conductor, Part, _part
 from m100link.apps.fleet.show.plan.document import Show, check
 from m100link.apps.fleet.show.plan.steering import ShowRefused, Why
 from m100link.apps.fleet.show.plan.track import BadShow, TimedTrack
@@ -604,6 +605,7 @@ async def test_a_track_is_sent_in_pieces_of_800_bytes_with_what_the_others_are()
 
 @pytest.mark.parametrize(("ready_at", "is_ready"), [(0.0, True), (179.0, True), (181.0, False)])
 async def test_a_place_is_taken_within_three_minutes(ready_at: float, is_ready: bool) -> None:
+    await anyio.sleep(1000.0)
     one = Answering()
     one.stage = lambda _: ShowStage.READY if one.now >= ready_at else ShowStage.PLACING
     if is_ready:
@@ -614,6 +616,8 @@ async def test_a_place_is_taken_within_three_minutes(ready_at: float, is_ready: 
         await one.conductor._place(one.track)
     assert caught.value.measured == pytest.approx(180.5)
     assert (caught.value.why, caught.value.limit) == (Why.PLACE, 180.0)
+    with pytest.raises(MessageError, match="a1 does not report its stage in the show"):
+        _part(OrderReply.done("", "a1", "run", None))
 
 
 @pytest.mark.parametrize("silent", [4.0, 7.0])
@@ -638,6 +642,7 @@ async def test_one_that_tells_nothing_for_five_seconds_is_silent(silent: float) 
 
 
 async def test_it_begins_five_seconds_after_all_are_ready_and_is_heard_every_two() -> None:
+    await anyio.sleep(7.0)
     one = Answering()
     order = {
         LoadTrack: ShowStage.LOADED,

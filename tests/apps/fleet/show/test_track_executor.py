@@ -662,6 +662,12 @@ async def test_an_aircraft_of_another_show_in_its_way_is_left_in_time() -> None:
     assert near is not None
     assert near.name == "b1"
     assert 0.0 < near.at < 10.0
+    await anyio.sleep(7.0)
+    heard: list[tuple[float, float]] = []
+    others = SimpleNamespace(show="show", hear=lambda one, now: heard.append((one.at, now)))
+    performer.neighbours, performer._start_at = cast(Any, others), 2.0
+    performer.hear(replace(told, origin=other))
+    assert heard == [(pytest.approx(5.0), 7.0)], "by the time of this show"
 
 
 async def test_a_conductor_is_missed_after_ten_seconds() -> None:
@@ -689,16 +695,19 @@ async def test_a_conductor_is_missed_after_ten_seconds() -> None:
     with pytest.raises(UsageError, match="another conductor"):
         performer.require_run("a")
     performer.require_run("b")
+    with pytest.raises(LeftShow, match="the conductor was silent for 10 s") as caught:
+        await performer._abandoned()
+    assert (caught.value.measured, caught.value.limit) == (pytest.approx(10.125), 10.0)
 
 
 async def test_another_one_that_comes_near_is_named_with_its_distance_and_time() -> None:
     _, performer = given()
-    performer.track, performer.stage, performer._start_at = FLOWN, LEFT, 0.0
-    near = Near("a2", 7.25, 2.5, 0.0)
-    silent = Near("a2", 7.25, 2.5, 3.75)
+    performer.track, performer.stage, performer._start_at = FLOWN, LEFT, -1.5
+    near = Near("a2", 8.75, 2.5, 0.0)
+    silent = Near("a2", 8.75, 2.5, 3.75)
     for found, seen in (
-        (near, "a1 left the show at 0.0 s: a2 would come as near as 2.5 m in 7.2 s; 4 m are"),
-        (silent, "0.0 s: a2 has been silent for 3.8 s and may stand there: a2 would come as"),
+        (near, "a1 left the show at 1.5 s: a2 would come as near as 2.5 m in 7.2 s; 4 m are"),
+        (silent, "1.5 s: a2 has been silent for 3.8 s and may stand there: a2 would come as"),
     ):
         others = SimpleNamespace(show="show", least_m=4.0, near=lambda *_, found=found: found)
         performer.neighbours = cast(Any, others)
