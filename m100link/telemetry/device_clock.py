@@ -67,7 +67,7 @@ class DeviceClock:
 
     __slots__ = (
         *("_arrivals", "_arrivals_since", "_backlog", "_backlog_at", "_device", "_floor"),
-        *("_intercept", "_last_tick", "_late", "_latest", "_newest", "_notes", "_received_at"),
+        *("_intercept", "_last_tick", "_late", "_newest", "_notes", "_received_at"),
         *("_resets", "_seconds", "_silence", "_slope", "_spread", "tick_hz"),
     )
 
@@ -80,16 +80,15 @@ class DeviceClock:
     def _start(self) -> None:
         self._last_tick: int | None = None
         self._device = 0.0  # unwrapped device time of the newest tick, s
-        self._received_at = -math.inf  # when it arrived: packages of one read share it
+        self._received_at = 0.0  # when it arrived: packages of one read share it
         self._newest = 0.0  # and its offset
         self._silence = 0.0  # how long nothing was read before it
         self._arrivals: list[tuple[float, float]] = []  # device time and offset, one per read
         self._arrivals_since = 0.0
         self._seconds: deque[_Second] = deque(maxlen=_SECONDS)
-        self._latest = -math.inf  # the latest of their offsets
         self._late: list[_Second] = []  # seconds outside the bound since the last one within
         self._backlog = 0.0  # the worst lateness of what waited
-        self._backlog_at = -math.inf
+        self._backlog_at = 0.0
         self._slope = 0.0
         self._intercept = math.inf
         self._spread = 0.0
@@ -186,14 +185,12 @@ class DeviceClock:
             # A second that this one shows to have been late from end to end says nothing.
             slack = second.width + 1.0 / self.tick_hz
             latest = offset + slack
-            if self._latest > latest:
-                kept = [
-                    earlier
-                    for earlier in self._seconds
-                    if earlier.offset <= latest + _MAX_SKEW * abs(device - earlier.device)
-                ]
-                self._seconds = deque(kept, maxlen=_SECONDS)
-            self._seconds.append(second)
+            kept = [
+                earlier
+                for earlier in self._seconds
+                if earlier.offset <= latest + _MAX_SKEW * abs(device - earlier.device)
+            ]
+            self._seconds = deque([*kept, second], maxlen=_SECONDS)
         self._late = []
         self._fit()
 
@@ -206,14 +203,13 @@ class DeviceClock:
         if count >= _FIT_COUNT:
             aside = [x - mean_x for x in devices]
             square = sum([x**2 for x in aside])
-            product = sum(map(mul, aside, [y - mean_y for y in offsets]))
+            product = sum(map(mul, aside, offsets))  # whatever their mean: aside sums to 0
             if square:  # a tick that stands still has no slope
                 slope = max(-_MAX_SKEW, min(_MAX_SKEW, product / square))
         intercept = mean_y - slope * mean_x
         residual = max(map(abs, map(sub, offsets, [intercept + slope * x for x in devices])))
         self._slope, self._intercept = slope, intercept
         self._spread = residual + sum(widths) / count + 1.0 / self.tick_hz
-        self._latest = max(offsets)
         last, drift = devices[-1], self._drift()
         self._floor = (self._intercept - self._spread + drift * last, self._slope - drift)
 

@@ -176,7 +176,7 @@ class _Clock:
     def _step(self, tick: int) -> float:
         """Seconds from the newest tick to another one."""
         step = (tick - self._tick) & _MASK
-        return (step if step < _HALF else step - _MASK - 1) / self._tick_hz
+        return ((step ^ _HALF) - _HALF) / self._tick_hz  # 32 bits with a sign
 
     def _begin(self, at: float) -> None:
         self.epoch += 1
@@ -278,7 +278,7 @@ class IntegrityMonitor:
         self._ratio = self._height_ratio = 0.0
         self._still_s = self._level_s = 0.0  # for how long nothing moved that should have
         self._fault: tuple[IntegrityState, str] | None = None
-        self._fault_ends_at = -math.inf
+        self._fault_ends_at = 0.0
 
     def look(self, newest_at: float | None) -> Integrity:
         """Return the finding at this moment; the newest package came then."""

@@ -154,7 +154,7 @@ class AccelerationReader:
         self.is_idle = self.has_arrived = False
         # The newest of each, read when a second of values is judged, and the attitude for raw ones.
         self._attitude: _Kept = None
-        self._attitude_at = -math.inf
+        self._attitude_at = 0.0
         self._velocity: _Kept = None
         self._status: _Kept = None
         self._row = 0  # windows in a row that look raw

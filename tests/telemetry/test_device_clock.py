@@ -77,6 +77,8 @@ def test_the_rate_is_that_of_the_last_minute() -> None:
     run(clock, seconds=90, skew=80e-6, offset=1090.0, start_tick=90 * TICK_HZ)
     assert clock.resets == 0
     assert clock.skew_ppm == pytest.approx(80, abs=3)
+    [inside] = [one.uncertainty_s for one in [clock.host_time(150 * TICK_HZ)] if one is not None]
+    assert inside == pytest.approx(1 / TICK_HZ, abs=3e-5)
 
 
 def test_the_tick_wraps_without_a_jump() -> None:
@@ -93,12 +95,13 @@ def test_the_tick_wraps_without_a_jump() -> None:
 
 def test_a_reboot_starts_anew_and_is_counted() -> None:
     clock = DeviceClock(TICK_HZ)
-    run(clock, seconds=30)
-    run(clock, seconds=10, offset=1035.0)
+    run(clock, seconds=30, start_tick=50 * TICK_HZ)
+    run(clock, seconds=10, offset=1035.0, start_tick=2 * TICK_HZ)
     assert clock.resets == 1
+    assert clock.offset_s == pytest.approx(1033.0, abs=0.03)
     found = clock.host_time(5 * TICK_HZ)
     assert found is not None
-    assert found.time == pytest.approx(1040.0, abs=0.03)
+    assert found.time == pytest.approx(1038.0, abs=0.03)
 
 
 @pytest.mark.parametrize("ticks", [1, 300, TICK_HZ * 60])
@@ -173,7 +176,7 @@ class World:
             taken = index / self.rate_hz
             last = max(last, taken + FIRST_DELAY_S + self.jitter())
             device = taken / (1 + self.skew) + sum(by for at, by in self.steps if at <= taken)
-            yield taken, last, 100.0 + device
+            yield taken, last, 86_400.0 + device  # since a day: a rate shows
 
     def reads(self, seconds: float) -> Iterator[tuple[float, list[tuple[float, float]]]]:
         """Each read of the host: when, and its packages as time of taking and device clock."""
@@ -286,6 +289,20 @@ def test_packages_that_are_late_for_five_seconds_show_a_step_and_before_that_non
         clock.update(round(device * TICK_HZ), 1000.04 + device)
     assert clock.resets == resets
     assert clock.offset_s == pytest.approx(1000.04 if resets else 1000.0, abs=2 / TICK_HZ)
+
+
+def test_a_second_that_was_late_from_end_to_end_is_left_out_and_no_other() -> None:
+    """By 5 ms, beside the 4 ms and a tick of before; the host's clock is slower by 150 ppm."""
+    clock = DeviceClock(TICK_HZ)
+    for index in range(30 * 50):
+        late = 0.004 * (index % 3 > 0) if index < 20 * 50 else 0.005 if index < 1075 else 0.0
+        clock.update(TICK_HZ * 100 + index * 12, 1000.0 + index / 50 * (1 - 150e-6) + late)
+    early, newer = clock.host_time(TICK_HZ * 101), clock.host_time(TICK_HZ * 128)
+    assert early is not None
+    assert newer is not None
+    assert early.time == pytest.approx(1001.0 - 150e-6, abs=1e-6)
+    assert early.uncertainty_s == pytest.approx(newer.uncertainty_s, abs=1e-9)
+    assert newer.uncertainty_s < 0.005
 
 
 def test_packages_of_one_read_are_one_instant() -> None:

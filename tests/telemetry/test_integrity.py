@@ -175,6 +175,8 @@ def test_the_sources_do_not_settle_the_sign_of_a_climb() -> None:
     flight = Flight()
     flight.climb, flight.told_climb = 3.0, -3.0
     assert flight.fly(20.0).state is S.GOOD
+    flight.height += 1.0  # as little as that is forgotten
+    assert flight.fly(20.0).state is S.GOOD
 
 
 def test_without_velocity_or_time_a_flight_agrees() -> None:

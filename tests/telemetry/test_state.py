@@ -271,10 +271,10 @@ def test_a_height_that_changes_contradicts_where_no_velocity_comes(state: Aircra
     told(state, 100.0, LANDS)
     sinking = [told(state, 100.1 + n / 10, STANDS, **at_height(9.0 - n / 10)) for n in range(30)]
     assert set(sinking) == {LANDS}
-    down = [told(state, 103.1 + n / 10, STANDS, **at_height(0.0)) for n in range(10)]
+    down = [told(state, 103.1 + n / 10, STANDS, **at_height(-20.0)) for n in range(10)]
     assert down[-1] == STANDS
     # A barometer drifts for as long as it stands.
-    drifts = [told(state, 104.1 + n / 10, STANDS, **at_height(n / 10)) for n in range(30)]
+    drifts = [told(state, 104.1 + n / 10, STANDS, **at_height(n / 10 - 20)) for n in range(30)]
     assert set(drifts) == {STANDS}
 
 
@@ -342,5 +342,6 @@ def test_a_refusal_names_what_was_known(
         "mode_switch": switch,
         "control_device": "ONBOARD",
     }
-    state.update(sample(100.1, rc=(0,) * 6))
+    state.update(sample(100.1, rc=(0,) * 6, position=(0.5, 0.25, 80.0, -0.001, 4)))
     assert state.situation()["mode_switch"] is None, "it is off"
+    assert str(state.situation()["height_m"]) == "0.0"

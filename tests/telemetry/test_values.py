@@ -12,7 +12,7 @@ import pytest
 from m100link import Table
 from m100link.protocol import encode_telemetry, profile
 from m100link.telemetry.device_clock import DeviceClock
-from m100link.telemetry.integrity import _Fix
+from m100link.telemetry.integrity import _Clock, _Fix
 from m100link.telemetry.sample import AccelerationReader, Sample, fused_of
 from m100link.telemetry.state import AircraftState
 from m100link.telemetry.subscription import Hub, Lossless, Newest, TelemetryStream
@@ -99,6 +99,7 @@ def steady(vector: Vector, seconds: float = 1.2, **items: Any) -> list[tuple[flo
         ((0.69, 0.0, -0.73), "raw"),  # a slope of 45 degrees, whichever way
         ((0.0, -0.69, -0.73), "raw"),
         ((0.75, 0.0, -0.66), None),
+        ((0.85, 0.0, -0.745), None),  # 1.13 g, and 0.79 of it is the least along the axis
         ((0.0, 0.0, 1.0), None),
         ((0.16, -0.16, 0.16), "fused"),  # 0.3 m/s²
         ((0.18, -0.18, 0.18), None),
@@ -155,6 +156,23 @@ def test_a_way_is_north_east_up_by_the_latitude_where_it_ends() -> None:
     assert here.to(there) == pytest.approx((63.781, -95.67, -2.5), abs=0.01)
     east, west = here._replace(longitude=math.pi - 1e-5), here._replace(longitude=-math.pi + 1e-5)
     assert east.to(west)[1] == pytest.approx(2e-5 * 6_378_137.0 / 2, abs=0.01)
+
+
+def test_the_time_of_a_package_is_told_by_its_tick_across_the_end_of_32_bits() -> None:
+    clock, first = _Clock(), (1 << 32) - 1000  # 600 Hz: the ticks wrap after 1.67 s
+    packages = [
+        Sample(
+            encode_telemetry({"time": (first + 60 * n & 0xFFFFFFFF,)}, profile("1.0")),
+            profile("1.0"),
+            50.0 + n / 10,
+        )
+        for n in range(31)
+    ]
+    for package in packages:
+        clock.look(package)
+    assert clock.now == pytest.approx(3.0)
+    for n in (5, 25, 30):
+        assert clock.time_of(packages[n]) == pytest.approx((n / 10, clock.epoch))
 
 
 @pytest.mark.parametrize("tick_hz", [400, 600])
