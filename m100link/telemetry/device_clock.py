@@ -203,7 +203,7 @@ class DeviceClock:
         if count >= _FIT_COUNT:
             aside = [x - mean_x for x in devices]
             square = sum([x**2 for x in aside])
-            product = sum(map(mul, aside, offsets))  # whatever their mean: aside sums to 0
+            product = sum(map(mul, aside, [y - mean_y for y in offsets]))
             if square:  # a tick that stands still has no slope
                 slope = max(-_MAX_SKEW, min(_MAX_SKEW, product / square))
         intercept = mean_y - slope * mean_x
