@@ -86,9 +86,9 @@ class Revoked:
         Raises:
             BadRevoked: It is not a list of this authority.
         """
-        line, _, signature = data[: LARGEST + 1].partition(b"\n")
         if len(data) > LARGEST:
             raise BadRevoked(f"a list of revoked names has at most {LARGEST} bytes")
+        line, _, signature = data.partition(b"\n")
         try:
             key = authority.public_key()
             if not isinstance(key, ec.EllipticCurvePublicKey):

@@ -301,11 +301,18 @@ def test_nothing_is_obeyed_twice_whatever_is_repeated_when(seed: int) -> None:
 
 
 def test_what_is_remembered_is_forgotten_when_it_has_expired() -> None:
+    """All at once, and not before there are a thousand of them, or twice as many as were young."""
     one = gate()
-    for number in range(5000):
-        now = NOW + number * 0.1
-        assert reason(order(str(number), at=now), at=one, now=now) is None
-    assert len(one._seen) < 2500
+    one._seen = {("anna", f"old {number}"): NOW + number - 100.5 for number in range(1024)}
+    for number, at, right, until in (
+        ("1", NOW - 2.0, Right.FLY, NOW + 3.0),
+        ("2", NOW - 2.0, Right.STOP, NOW + 598.0),
+        ("3", NOW, Right.WATCH, NOW + 5.0),
+    ):
+        assert reason(order(number, at=at), right=right, at=one) is None
+        assert reason(order(number, at=at), right=right, at=one) is Reason.REPLAYED
+        assert one._seen["anna", number] == until
+    assert (len(one._seen), one._purged_at) == (1024 - 101 + 3, 2 * (1024 - 101))
 
 
 # -- the file of rights: who may do what, and every mistake in it by its name ----------------------
@@ -458,6 +465,10 @@ def test_a_public_key_lies_beside_the_file(tmp_path: Path) -> None:
     assert Rights.read(tmp_path / "fleet.toml").digest != before
     (tmp_path / "pki/anna.pub").write_text("no key")
     with pytest.raises(BadRights, match=r"anna\.pub has no public key"):
+        Rights.read(tmp_path / "fleet.toml")
+    (tmp_path / "pki/bert.pub").mkdir()
+    (tmp_path / "pki/anna.pub").unlink()
+    with pytest.raises(BadRights, match=r"bert\.pub cannot be read: Is a directory"):
         Rights.read(tmp_path / "fleet.toml")
 
 

@@ -705,6 +705,17 @@ def test_what_a_disk_does_not_take_has_a_remedy(
     assert caught.value.remedy == remedy
 
 
+@pytest.mark.parametrize("place", ["pki", "boards"])
+def test_a_folder_that_cannot_be_made_is_named(rights: Rights, place: str) -> None:
+    there = rights.path.parent / place
+    there.write_text("a file")
+    with pytest.raises(BadAuthority, match=f"{there}(/base)? cannot be made: (File exists|Not a)"):
+        make(rights, now=NOW)
+    with pytest.raises(BadAuthority, match=f"{there}/below cannot be made: Not a directory"):
+        init(there / "below", now=NOW)
+    assert there.read_text() == "a file"
+
+
 def test_two_that_make_at_once_make_no_two_authorities(rights: Rights) -> None:
     rights.pki.mkdir()
     handle = os.open(rights.pki, os.O_RDONLY)

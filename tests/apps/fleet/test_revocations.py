@@ -18,6 +18,7 @@ import anyio
 import pytest
 from cryptography import x509
 from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.hazmat.primitives.serialization import load_pem_private_key
 
@@ -369,6 +370,9 @@ def test_of_another_authority_or_changed_it_is_refused(
     other = Authority(tmp_path / "other")
     with pytest.raises(BadRevoked, match="not that of the authority"):
         Revoked.verified(data, other.certificate)
+    without: Any = MagicMock(public_key=Ed25519PrivateKey.generate().public_key)
+    with pytest.raises(BadRevoked, match="has no key that signs lists"):
+        Revoked.verified(data, without)
     line_end = data.index(b"\n")
     for place in range(line_end + 1):  # each bit that is signed, the line feed, too
         changed = bytearray(data)
@@ -625,6 +629,8 @@ async def test_a_file_is_read_when_it_was_written_anew_and_kept_for_all_to_read(
     path, written = tmp_path / LIST, MagicMock(wraps=replace_file)
     monkeypatch.setattr(revocations, "replace_file", written)
     assert Revocations(MagicMock())._written() is None, "it is kept nowhere"
+    with pytest.raises(UsageError, match=f"{tmp_path} cannot be read: Is a directory"):
+        Revocations(MagicMock(), tmp_path)._written()
     one = Revocations(MagicMock(), path)
     assert one._written() is None
     path.write_bytes(b"first")
