@@ -590,6 +590,15 @@ async def test_a_track_that_its_guards_do_not_allow_is_not_begun() -> None:
         performer.load(FLOWN.to_bytes(), cast(Any, "dive"))
 
 
+async def test_a_beginning_that_is_over_by_the_clock_of_the_agent_is_refused() -> None:
+    client, performer = given()
+    performer.track, performer.stage = AWAY, READY
+    await anyio.sleep(30.0)
+    with pytest.raises(ShowRefused, match=r"a1 should have begun 0\.50 s ago") as caught:
+        performer.start(AWAY.digest, client.now - 0.5, 0.0)
+    assert (caught.value.why, performer.stage) == (Why.LATE, READY)
+
+
 async def test_where_it_will_be_is_told_from_its_start_until_ten_minutes_after_its_end() -> None:
     client, performer = given()
     performer.track, performer.stage = AWAY, LEFT

@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import Any, Self
 
 from m100link.apps.fleet.show.plan.track import (
-    SPARE_M,
     BadShow,
     Box,
     TimedPoint,
@@ -433,10 +432,9 @@ def _remarks(show: Show, there: Sequence[Places]) -> Iterator[str]:
     reported: set[tuple[int, int]] = set()
     for at, spots in there:
         boxes = [_spot((*spot[:2], 0.0), has_ended=True) for spot in spots]
-        for i, j in sorted(overlapping(boxes, show.least_distance_m + SPARE_M)):
+        for i, j in sorted(overlapping(boxes, show.least_distance_m)):
             pair = (i, j) if spots[i][2] > spots[j][2] else (j, i)
-            is_near = math.dist(spots[i][:2], spots[j][:2]) < show.least_distance_m
-            if is_near and pair not in reported:
+            if pair not in reported:
                 reported.add(pair)
                 upper, lower = (show.tracks[one].name for one in pair)
                 words = "if it fails or lands there, it falls on it"

@@ -225,12 +225,14 @@ def test_limits_of_one_aircraft(
 
 def test_what_is_advised_is_enough() -> None:
     """A leg that gets the time which the message names passes."""
-    for points, field in (
-        ([(0.0, 0.0, 0.0, 5.0), (15.0, 90.0, 0.0, 5.0)], "flies"),
-        ([(0.0, 0.0, 0.0, 5.0), (2.0, 3.0, 0.0, 5.0)], "accelerates"),
+    for points, field, needed in (
+        # At 9 m/s where 8 are allowed, and by 4.5 m/s² where 1.5 are: that goes by the square.
+        ([(0.0, 0.0, 0.0, 5.0), (15.0, 90.0, 0.0, 5.0)], "flies", 15 * 9 / 8),
+        ([(0.0, 0.0, 0.0, 5.0), (2.0, 3.0, 0.0, 5.0)], "accelerates", 2 * 3**0.5),
     ):
         [problem] = [p for p in check(show_of(track("a1", *points))).problems if field in p.seen]
         seconds = float(problem.remedy.removeprefix("give it ").split(" s")[0])
+        assert seconds == pytest.approx(needed, abs=0.05)
         slower = [points[0], (seconds + 0.1, *points[1][1:])]
         assert not [one for one in said(show_of(track("a1", *slower))) if field in one]
 
@@ -258,7 +260,7 @@ def test_take_off_spots_and_ends_are_far_enough_apart() -> None:
         "a1 and a2 take off 5.0 m from each other, seen from above; 6.0 m"
         in said(show_of(HERE, over))[0]
     )
-    ending = track("a2", (0, 60, 0, 20), (60, 25, 0, 20))
+    ending = track("a2", (0, 60, 0, 20), (30, 60, 9, 20), (60, 25, 0, 20))
     assert "a1 and a2 end 5.0 m from each other" in said(show_of(HERE, ending))[0]
 
 
@@ -271,6 +273,11 @@ def test_two_that_come_too_near_are_named_with_the_time_and_the_distance() -> No
     assert problem.at == pytest.approx(10.0, abs=0.1)
     assert problem.measured == pytest.approx(3.0, abs=2e-3)
     assert check(show_of(first, track("a2", (0, 30, 7, 5), (20, 0, 7, 5)))).ok
+    # At up to 6 m/s 6.57 m are needed: the boxes of their ways are looked at as far as that.
+    first = track("a1", (0, 0, 0, 5), (20, 80, 0, 5))
+    second = track("a2", (0, 80, 12.5, 5), (10, 40, 6.5, 5), (20, 0, 12.5, 5))
+    _, problem = check(show_of(first, second)).problems
+    assert "a1 and a2 come as near as 6.5 m at 10.00 s; 6.6 m are needed" in problem.seen
 
 
 def test_what_two_need_is_their_tubes_and_what_clocks_are_wrong_by() -> None:
@@ -492,6 +499,14 @@ def test_two_hundred_are_compared_with_those_near_them() -> None:
         for number in range(200)
     )
     assert len(Windows(tracks).near(9.0)) < 1200
+    points = [(at / 20, math.sin(at), at / 99) for at in range(201)]
+    two = [track(name, *((*one, high) for one in points)) for name, high in (("a", 9), ("b", 5))]
+    spans = Windows(two).near(5.0)[0, 1]  # of many points: a hundred windows, and what follows
+    assert (len(spans), spans[0][0], spans[-1]) == (101, 0.0, (10.0, math.inf))
+    assert all(
+        a[1] == b[0] == pytest.approx(at / 10)
+        for at, (a, b) in enumerate(itertools.pairwise(spans), 1)
+    )
 
 
 # -- tracks of other programs ----------------------------------------------------------------------
@@ -499,12 +514,12 @@ def test_two_hundred_are_compared_with_those_near_them() -> None:
 # little-endian; a track has its scale, its start in steps of so many mm, and a header, a duration
 # in ms and control points for each curve. x is ahead, y to the left, z up.
 
-TRACK = struct.pack("<Bhhhh", 2, 500, -250, 0, 0) + b"".join(
+TRACK = struct.pack("<Bhhhh", 2, 500, -250, 500, 0) + b"".join(
     (
-        struct.pack("<BHh", 0b01_0000, 4000, 2000),  # up to 4 m
+        struct.pack("<BHh", 0b01_0000, 4000, 2500),  # up from 1 m to 5 m
         struct.pack("<BHh", 0b00_0001, 5000, 3000),  # ahead to 6 m
         struct.pack("<BHhhh", 0b00_1000, 10_000, 0, 500, 750),  # a cubic curve to y = 1.5 m
-        struct.pack("<BHh", 0b01_0000, 4000, 0),
+        struct.pack("<BHh", 0b01_0000, 4000, 500),
     )
 )
 
@@ -533,21 +548,21 @@ def test_a_track_of_skybrush_is_a_show(tmp_path: Path, version: int) -> None:
     path.write_bytes(skyb(version))
     found = imported([path], (52.0, 4.0))
     [one] = found["aircraft"]
-    assert (one["name"], one["ground_m"]) == ("a1", 0.0)
-    # It climbs at 1 m/s, which takes 1.67 s and 0.83 m by 0.6 m/s²: so from 1.83 m on.
+    assert (one["name"], one["ground_m"]) == ("a1", 1.0)
+    # It climbs at 1 m/s, which takes 1.67 s and 0.83 m by 0.6 m/s²: so from 1.83 m above that on.
     first, last = one["waypoints"][0], one["waypoints"][-1]
     assert (first["north"], first["east"]) == (1.0, 0.5), "y to the left of north is west"
-    assert 1.0 <= first["height"] < 1.0 + 0.25
+    assert 2.0 <= first["height"] < 2.0 + 0.25
     assert first["at"] == pytest.approx(2.0 - 1.667, abs=0.001)
     assert (last["at"], last["height"]) == pytest.approx((21.0 + 1.667, first["height"]), abs=0.001)
-    assert at_time(found, 9.0) == (6.0, 0.5, 4.0)
-    assert at_time(found, 14.0) == (6.0, -0.5, 4.0), "the middle of the curve: y = 0.5 m"
-    assert at_time(found, 19.0) == (6.0, -1.5, 4.0)
+    assert at_time(found, 9.0) == (6.0, 0.5, 5.0)
+    assert at_time(found, 14.0) == (6.0, -0.5, 5.0), "the middle of the curve: y = 0.5 m"
+    assert at_time(found, 19.0) == (6.0, -1.5, 5.0)
     assert check(parse(found)).problems[0].seen.startswith("a1 accelerates"), (
         "the corners are sharp"
     )
     turned = imported([path], (52.0, 4.0), orientation_deg=90.0)
-    assert at_time(turned, 9.0) == (0.5 - 1.0, 6.0, 4.0), "x to the east, and its left is north"
+    assert at_time(turned, 9.0) == (0.5 - 1.0, 6.0, 5.0), "x to the east, and its left is north"
 
 
 def test_a_track_in_csv_is_a_show(tmp_path: Path) -> None:
@@ -579,6 +594,7 @@ def test_a_track_in_csv_is_a_show(tmp_path: Path) -> None:
         (b"x,y,z\n1,2,3\n", "x [m]"),
         (b"time [msec],x [m],y [m],z [m]\n0,0,0,0\n1,0,0,nan\n", "none, or is above"),
         (b"time [msec],x [m],y [m],z [m]\n0,0,0,0\n1000,0,0,1\n", "never high enough"),
+        (b"time [msec],x [m],y [m],z [m]\n0,0,0,0\n250,0,0,9\n500,400,0,9", "so fast"),
         (b"time [msec],x [m],y [m],z [m]\n0,0,0\n", "float"),
         (b"time [msec],x [m],y [m],z [m]\n0,0,0,0\n1\r,0,0,1\n", "new-line character"),
         (b"time [msec],x [m],y [m],z [m]\n" + b"9" * 200_000, "field larger than"),
@@ -600,6 +616,29 @@ def test_what_is_no_track_is_refused_with_its_reason(
         imported([path], (52.0, 4.0))
     assert seen in caught.value.seen
     assert ".skyb of Skybrush, or CSV" in caught.value.remedy
+
+
+def test_what_is_not_there_is_no_track(tmp_path: Path) -> None:
+    with pytest.raises(BadShow, match="no track was named"):
+        imported([], (52.0, 4.0))
+    with pytest.raises(BadShow, match=r"a1\.skyb' cannot be read") as caught:
+        imported([tmp_path / "a1.skyb"], (52.0, 4.0))
+    assert caught.value.remedy
+
+
+def test_a_track_that_begins_in_flight_makes_the_others_wait(tmp_path: Path) -> None:
+    """3 m/s upwards take 5 s and 7.5 m by 0.6 m/s²: a1 begins so long before its 0.35 s."""
+    paths = []
+    for name, climbs_m_s in (("a1", 3.0), ("a2", 0.0)):
+        lines = ["time [msec],x [m],y [m],z [m]", "100,1,2,0"]
+        lines += [f"{350 + 250 * n},1,2,{20 + climbs_m_s * n / 4}" for n in range(40)]
+        paths.append(tmp_path / f"{name}.csv")
+        paths[-1].write_text("\n".join(lines))
+    found = [one["waypoints"] for one in imported(paths, (52.0, 4.0))["aircraft"]]
+    first, other = ({point["at"]: point["height"] for point in points} for points in found)
+    assert [min(one) for one in (first, other)] == [0.0, 5.0]
+    assert [first[at] for at in (0.0, 5.0, 5.25)] == [12.5, 20.0, 20.75]
+    assert (other[5.0], len(other)) == (20.0, 40)
 
 
 @pytest.mark.parametrize("seed", range(20))
