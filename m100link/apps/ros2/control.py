@@ -43,7 +43,7 @@ _MOST_SENDERS = 32
 @dataclass(slots=True)
 class _Sender:
     heard_at: float = -math.inf  # when it was heard last, s
-    sent_at: float = -math.inf  # when that was sent, s, by the clock of its sender
+    sent_at: float = 0.0  # when that was sent, s, by the clock of its sender
     sequence: int = 0  # how many it had sent by then, as it counts
     way: ClockEstimate = field(default_factory=ClockEstimate)
     made: ClockEstimate = field(default_factory=ClockEstimate)  # by the stamps in its headers

@@ -282,7 +282,7 @@ _MOST = 16  # sessions that are asked
 
 @dataclass(slots=True)
 class _Session:
-    answered_at: float = -math.inf  # when it answered last, s; infinitely long ago before it did
+    answered_at: float = math.inf  # when it answered last, s; infinite before it did
     asked: list[Inbox[bool]] = field(default_factory=list)  # where its answers come
 
 
@@ -292,13 +292,13 @@ class Heartbeat:
     def __init__(self, bus: PolledBus) -> None:
         self._bus = bus
         self._sessions: dict[str, _Session] = {}
-        self._asks_at = -math.inf
+        self._asks_at = 0.0
 
     def follow(self, sessions: Collection[str]) -> None:
         """Ask these from now on, and no others. Ids that are of no session are left out."""
         known = [one for one in sorted(set(sessions)) if _SESSION.fullmatch(one)][:_MOST]
         self._sessions = {one: _Session() for one in known}
-        self._asks_at = -math.inf
+        self._asks_at = 0.0
 
     def is_missing(self, now: float) -> bool:
         """Whether any of them has answered and does so no more. To be called at each step.
@@ -314,4 +314,4 @@ class Heartbeat:
             for name, one in self._sessions.items():
                 asked = self._bus.probe(f"@/{name}/*", timeout=_ANSWER_S)  # its admin space
                 one.asked = [*one.asked[-_WAITING:], asked]
-        return any(-math.inf < one.answered_at < now - SILENCE_S for one in self._sessions.values())
+        return any(one.answered_at < now - SILENCE_S for one in self._sessions.values())

@@ -55,7 +55,7 @@ def test_a_setpoint_is_as_late_as_the_older_of_its_two_stamps(stick: SetpointMux
 
 
 def test_a_program_that_begins_first_has_it(stick: SetpointMux) -> None:
-    assert stick.hear(ONE, 0.0, 0.0) == ""
+    assert stick.hear(ONE, 0.0, 0.0, 7) == ""  # six before it were not heard
     assert stick.hear(OTHER, 0.1, 0.1) == "other"
     assert stick.hear(ONE, 0.2, 0.2) == ""
     assert stick.refused == {"late": 0, "other": 1, "closed": 0}

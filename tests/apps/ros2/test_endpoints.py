@@ -165,15 +165,17 @@ async def test_a_request_is_answered_with_its_number_and_the_id_of_its_sender(
     ends: Any, is_deaf: bool, waiting: int, is_answered: bool
 ) -> None:
     inbox = MemoryInbox[Any](99)
+    tokens: list[str] = []
     bus: Any = SimpleNamespace(
-        questions=lambda *_: inbox, declare=lambda _: None, publish=None, inbox=None
+        questions=lambda *_: inbox, declare=tokens.append, publish=None, inbox=None
     )
-    made = Endpoints(bus, NodeName(0, "aa", "/", "m100"), TaskSet(), lambda: 1.5)
+    made = Endpoints(bus, NodeName(0, "aa", "/", "m100", 3), TaskSet(), lambda: 1.5)
 
     async def call(_request: Any) -> dict[str, Any]:
         return {"success": True, "message": "it flies"}
 
     made.serve("/m100/x", "std_srvs/srv/Trigger", call, ends=ends)
+    assert [one.split("/")[3:6] for one in tokens] == [["3", "3", "NN"], ["3", "3001", "SS"]]
     made._services[0].calls = waiting
     key = data_key(0, "/m100/x", "std_srvs/srv/Trigger")
     good = question(key)

@@ -97,19 +97,20 @@ def test_names_are_private_relative_or_full() -> None:
 
 
 @pytest.mark.parametrize(
-    ("namespace", "node", "remap"),
+    ("namespace", "node", "remap", "seen"),
     [
-        ("/", "m 100", ()),
-        ("/", "", ()),
-        ("/1st", "m100", ()),
-        ("/", "m100", ("~/imu",)),
-        ("/", "m100", ("~/imu:=",)),
-        ("/", "m100", ("~/imu:=/a b",)),
+        ("/", "m 100", (), "'m 100' cannot be part of a name in ROS"),
+        ("/", "", (), "'' cannot be part of a name in ROS"),
+        ("/1st", "m100", (), "'1st' cannot be part of a name in ROS"),
+        ("/", "m100", ("~/imu",), "'~/imu' is not a rule"),
+        ("/", "m100", ("~/imu:=",), "'~/imu:=' is not a rule"),
+        ("/", "m100", ("~/imu:=/a b",), "'/a b' cannot be a name in ROS"),
     ],
 )
-def test_names_that_cannot_be(namespace: str, node: str, remap: tuple[str, ...]) -> None:
-    with pytest.raises(UsageError):
+def test_names_that_cannot_be(namespace: str, node: str, remap: tuple[str, ...], seen: str) -> None:
+    with pytest.raises(UsageError) as refusal:
         Names.of(namespace, node, remap)
+    assert refusal.value.seen == seen
 
 
 # -- the names of whole stations ------------------------------------------------------------------

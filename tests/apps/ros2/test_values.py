@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import struct
+from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cache
@@ -34,6 +35,7 @@ from m100link.apps.ros2.actions import FLIGHTS
 from m100link.apps.ros2.graph import data_key
 from m100link.apps.ros2.publishers import ALL_OUTPUTS
 from m100link.apps.ros2.topics import DJI_OUTPUTS, INPUTS, SERVICES
+from m100link.errors import UsageError
 from m100link.log.cdr import decode
 from m100link.protocol.firmware import FIRMWARE_3_1
 from m100link.protocol.records import (
@@ -636,6 +638,40 @@ def test_a_setpoint_that_means_nothing_is_not_flown(name: str, message: dict[str
     assert steered(name, message) == []
 
 
+def test_a_place_is_not_flown_to_while_that_of_the_aircraft_is_unknown() -> None:
+    async def publish(rig: KnownRig) -> None:
+        await anyio.sleep(0.6)
+        with pytest.raises(UsageError, match="the position of the aircraft is unknown"):
+            rig.node._place(pose_at(1.0, 2.0, 3.0))
+        rig.program.publish("~/setpoint_position", pose_at(1.0, 2.0, 3.0))
+
+    assert asked(publish).known.asked(Steer) == []
+
+
+def test_the_second_half_of_a_stamp_is_nanoseconds() -> None:
+    async def publish(rig: KnownRig) -> None:
+        for made_at in (7.9, 8.1):
+            rig.program.speed(1.0, made_at=made_at)
+            await anyio.sleep(0.2)
+
+    rig = asked(publish)
+    assert len(rig.known.asked(Steer)) == 2
+    assert rig.node.control.mux.refused["late"] == 0
+
+
+def test_the_id_of_a_goal_that_is_over_is_no_other_goals() -> None:
+    async def ask(rig: KnownRig) -> None:
+        client, accepted = Client(rig), []
+        for repeated in (0, 1, 0):
+            client.count -= repeated
+            accepted.append((await client.ask_goal("~/take_off", height=5.0))["accepted"])
+            await client.cancel("~/take_off")
+            await anyio.sleep(0.2)
+        assert accepted == [True, False, True]
+
+    asked(ask)
+
+
 @pytest.mark.parametrize(
     "state",
     [
@@ -700,7 +736,10 @@ def test_the_gimbal_turns_about_the_axes_of_the_body() -> None:
     async def turn(rig: KnownRig) -> None:
         head = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""}
         vector = {"x": math.radians(5), "y": math.radians(20), "z": math.radians(40)}
-        rig.program.publish("~/gimbal_speed", {"header": head, "vector": vector})
+
+        for _ in range(2):  # 20 Hz: what comes 20 ms later is left out
+            rig.program.publish("~/gimbal_speed", {"header": head, "vector": vector})
+            await anyio.sleep(0.02)
 
     [ask] = asked(turn).known.asked(Ask)
     assert rates(ask) == (
@@ -854,7 +893,7 @@ def test_a_number_that_stands_for_nothing_is_not_uploaded(changed: dict[str, Any
         kind = SERVICES["~/mission/upload"].kind
         answer = await rig.program.call("~/mission/upload", kind, **PLAN | changed)
         assert answer["success"] is False
-        assert next(iter(changed)) in answer["message"] or "an action 6" in answer["message"]
+        assert next(iter(changed)) in answer["message"] or "0 to 5: STAY" in answer["message"]
 
     assert asked(upload).known.asked(Ask) == []
 
@@ -1012,20 +1051,34 @@ def test_what_is_sent_comes_as_often_as_the_manual_says() -> None:
     assert there == dict.fromkeys(DJI_OUTPUTS, 50) | HZ
 
 
-@pytest.mark.parametrize("name", ["~/imu", "~/joy", "~/fix", "~/battery"])
-def test_packages_of_a_hundred_a_second_are_thinned_to_that(name: str) -> None:
-    count = 0
+def test_packages_of_a_hundred_a_second_are_thinned_to_that(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The node takes a step at every second one, and looks at the graph and for home at fewer."""
+    names = ("~/imu", "~/joy", "~/fix", "~/battery", "~/flight_status", "/diagnostics")
+    looks = {"step": 50, "look": 2, "_look_for_home": 10}
+    counts: Counter[str] = Counter()
+
+    def counted(name: str, do: Callable[[], None]) -> Callable[[], None]:
+        def count() -> None:
+            counts[name] += 1
+            do()
+
+        return count
 
     async def listen() -> None:
-        nonlocal count
         async with KnownRig().running() as rig:
+            parts = (rig.node, rig.node.ends, rig.node.teller)
+            for part, name in zip(parts, looks, strict=True):
+                monkeypatch.setattr(part, name, counted(name, getattr(part, name)))
             for _ in range(200):
                 rig.known.tell_package(rig.client.now)
                 await anyio.sleep(0.01)
-            count = len(rig.sent(name))
+            counts.update({name: len(rig.sent(name)) for name in names})
 
     anyio.run(listen, backend_options={"loop_factory": virtual_clock_loop})
-    assert count == pytest.approx(2 * HZ[name], abs=1)
+    for name, hz in ({name: HZ[name] for name in names} | looks).items():
+        assert counts[name] == pytest.approx(2 * hz, abs=1), name
 
 
 def test_what_came_late_is_not_made_up_for() -> None:
