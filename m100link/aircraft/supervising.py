@@ -147,7 +147,7 @@ class BackOff:
             pause *= self.factor
             if pause >= self.most or self.factor == 1:
                 break
-        return min(pause, self.most) * (1.0 + self.jitter * random.uniform(-1.0, 1.0))
+        return min(pause, self.most) * random.uniform(1.0 - self.jitter, 1.0 + self.jitter)
 
 
 class SupervisionEvent(NamedTuple):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import re
 from collections.abc import Callable
 from random import Random
 
@@ -178,10 +179,13 @@ async def test_an_aircraft_that_falls_silent_is_lost_though_the_line_stays_open(
     end = ConnectableAircraft(seed=1, firmware=firmware)
     async with supervised(Cable(end)) as one:
         await one.connected()
+        await asyncio.sleep(12.0)
+        assert one.round_trip is not None
+        assert 0.0 <= one.round_trip < 0.1
         end.stall_line()
         await until(lambda: one.state is S.WAITING)
         assert one.error is not None
-        assert "the aircraft is silent for" in one.error.seen
+        assert re.fullmatch("the aircraft is silent for [3-6] s", one.error.seen)
         end.stall_line(False)
         await one.connected()
         assert one.state is S.CONNECTED

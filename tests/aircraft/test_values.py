@@ -6,7 +6,7 @@ import asyncio
 import math
 from random import Random
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 from unittest.mock import AsyncMock, MagicMock, call
 
 import pytest
@@ -30,6 +30,7 @@ from m100link.errors import (
     CommandRefused,
     LinkLost,
     ReplayEnded,
+    UsageError,
 )
 from m100link.link import Link
 from m100link.link.url import parse_replay
@@ -233,6 +234,37 @@ def test_an_app_is_asked_for_again_where_only_the_phone_is_missing(code: Activat
     error = ActivationRefused("x")
     error.code = code
     assert _is_final(error) is (code.name not in passing)
+
+
+async def test_what_is_refused_before_or_after_it_was_asked() -> None:
+    """Orders that move, a push with an ack, the record of a line that is open; and code 0x12."""
+    one = aircraft()
+    for ask, seen in (
+        (Aircraft.execute(one, WaypointPauseResume(1)), "in motion; nothing was sent"),
+        (connect(MagicMock(spec=Link), record="x"), "can be neither tapped nor recorded"),
+        (connect(MagicMock(spec=Link), tap=print), "can be neither tapped nor recorded"),
+    ):
+        with pytest.raises(UsageError, match=seen):
+            await ask
+    with pytest.raises(UsageError, match="cannot be pushed"):
+        Aircraft.push(one, cast(Any, GetVersion()))
+    assert one._requests.mock_calls == []
+    one.execute.return_value = 0x12
+    with pytest.raises(CommandRefused, match="code 0x0012") as refusal:
+        await Aircraft.send_to_mobile(one, b"x")
+    assert (refusal.value.command, refusal.value.code) == ("send_to_mobile", 0x12)
+
+
+async def test_a_supervision_is_of_one_loop_and_its_samples_end_with_it() -> None:
+    one = supervise("tcp://127.0.0.1:1")
+    one._task = MagicMock()
+    with pytest.raises(UsageError, match="another event loop"):
+        await one._change()
+    samples = one.telemetry()
+    samples.close()
+    assert await anext(samples, None) is None
+    with pytest.raises(StopAsyncIteration):
+        await anext(samples)
 
 
 async def test_pauses_grow_until_it_is_connected_and_begin_anew_then() -> None:
