@@ -16,6 +16,8 @@ import pytest
 import m100link
 from m100link import errors
 from m100link.apps.cli.manual import error_classes
+from m100link.errors import UsageError
+from m100link.errors.usage import INSTALL, loads, of_extra
 from tests.test_house import MODULES, statements, tree
 
 
@@ -192,3 +194,12 @@ class TooWindy(M100Error):
         exec(compile(first + program, "program", "exec", dont_inherit=True), names)
         assert names["TooWindy"]("windy", gusts=12.0).gusts == 12.0
         assert names["TooWindy"]("windy").gusts == 0.0
+
+
+def test_what_is_not_there_is_named() -> None:
+    with pytest.raises(AttributeError, match=r"'m100link\.errors' has no attribute 'Nothing'"):
+        loads("m100link.errors", "base")("Nothing")
+    with pytest.raises(UsageError) as refusal:
+        of_extra("no_such_module", "a gamepad", "station", ", or use the keys")
+    assert refusal.value.seen == "a gamepad needs no_such_module, which is not installed"
+    assert refusal.value.remedy == f"{INSTALL.format('station')}, or use the keys"

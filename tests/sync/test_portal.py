@@ -197,6 +197,15 @@ def test_closing_in_the_thread_of_the_loop_is_refused_and_leaves_it_open(portal:
     assert closed == [1]
 
 
+def test_a_call_in_another_process_is_refused(
+    portal: Portal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as changed:
+        changed.setattr(portal, "_process", 0)
+        with pytest.raises(UsageError, match="from which this one was forked"):
+            portal.call(int)
+
+
 def test_in_the_child_of_a_fork_a_call_is_refused_and_its_end_waits_for_nobody() -> None:
     run = subprocess.run(
         [sys.executable, "-c", FORKED], capture_output=True, text=True, timeout=PATIENCE, check=True
