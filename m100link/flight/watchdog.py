@@ -100,7 +100,7 @@ class FollowCheck:
         self._slack = slack
         self._setpoint = setpoint
         self._clock = clock
-        self._looked_at = -math.inf
+        self._looked_at = clock()
         self._asked: Setpoint | None = None
         self._begin()
 
@@ -110,7 +110,7 @@ class FollowCheck:
         self._heading: float | None = None  # when the turn began
         self._rightward = 0.0  # which turn is asked for
         self._place: Position | None = None
-        self._unseen = _NOWHERE  # north and east, m
+        self._unseen = 0j  # north and east, m
         self._unseen_s = 0.0
 
     def look(self) -> str:
@@ -147,13 +147,13 @@ class FollowCheck:
         north, east, fast = self._wanted(setpoint)
         wanted = math.hypot(north, east)
         if wanted < _LEAST_M_S:
-            self._unseen = _NOWHERE
+            self._unseen = 0j
             self._way.is_over(now, None, 0.0, _NOWHERE)
             return ""
         north, east = north / wanted, east / wanted
         if velocity is None:
-            return self._look_at_place(passed, (north * fast, east * fast))
-        self._unseen = _NOWHERE
+            return self._look_at_place(passed, complex(north, east) * fast)
+        self._unseen = 0j
         along = velocity.north_m_s * north + velocity.east_m_s * east
         seen: float | None = along
         if along >= _FOLLOWS * wanted or self._leans(north, east):
@@ -189,19 +189,19 @@ class FollowCheck:
             self._lean = lean
         return more >= _TILTED_DEG or lean[0] * north + lean[1] * east >= _LEANS_DEG
 
-    def _look_at_place(self, passed: float, asked: tuple[float, float]) -> str:
+    def _look_at_place(self, passed: float, asked: complex) -> str:
         """Without a velocity, the place has to change while it is flown to another one."""
         place = known(self._state, Position)
         if place is None:
-            self._unseen, self._place = _NOWHERE, None
+            self._unseen, self._place = 0j, None
             return ""
         if self._place is None or apart_m(self._place, place) > _STILL_M:
-            self._place, self._unseen = place, _NOWHERE
+            self._place, self._unseen = place, 0j
             return ""
         passed = min(passed, STEER_S)
-        self._unseen_s = self._unseen_s + passed if self._unseen != _NOWHERE else passed
-        self._unseen = self._unseen[0] + asked[0] * passed, self._unseen[1] + asked[1] * passed
-        unseen = math.hypot(*self._unseen)
+        self._unseen_s = self._unseen_s + passed if self._unseen else passed
+        self._unseen += asked * passed
+        unseen = abs(self._unseen)
         if unseen < _UNSEEN_M or self._unseen_s < _UNSEEN_S + self._slack():
             return ""
         return f"setpoints of {unseen:.0f} m were flown, and the position did not change"

@@ -231,6 +231,10 @@ def offset(north: float) -> Setpoint:
     return Setpoint.position_offset(north=north, east=0, up=0, yaw_rate_deg_s=0)
 
 
+def to_height(height: float) -> Setpoint:
+    return Setpoint.velocity(north=0, east=0, height=height, yaw_rate_deg_s=0)
+
+
 def tilt(roll: float) -> Setpoint:
     return Setpoint.tilt(roll_deg=roll, pitch_deg=0, up=0, yaw_rate_deg_s=0)
 
@@ -254,6 +258,9 @@ def tilt(roll: float) -> Setpoint:
         (heading_of(-170), {"attitude": (0.0, 0.0, 169.0)}, True),
         (offset(2.9), {}, False),  # from 3 m on
         (offset(-3.1), {}, True),
+        (to_height(12.9), {}, False),  # from 3 m on, up and down
+        (to_height(6.9), {}, True),
+        (to_height(5.9), {"height": 2.8}, True),
         (tilt(4.9), {}, False),  # from 5° on
         (tilt(-5.1), {}, True),
     ],
@@ -269,15 +276,34 @@ def test_what_is_too_small_to_judge(
     assert (stand.fly(FOLLOW_S + 0.2) != "") is is_judged
 
 
-@pytest.mark.parametrize(("gained", "is_begun"), [(1.0, False), (2.0, True)])
-def test_a_begin_is_a_quarter_of_what_is_missing(gained: float, is_begun: bool) -> None:
-    """Flying at 3 m/s the other way 6 m/s are missing."""
+@pytest.mark.parametrize(("gained", "is_begun"), [(0.8, False), (1.2, True)])
+@pytest.mark.parametrize(
+    ("asked", "item", "place", "before", "fifth"),
+    [
+        # What gains g of what was missing has 1 - g left: a quarter of that is a fifth.
+        (NORTH, "velocity", 0, -3.0, 1.2),
+        (velocity(north=0.0, east=0.0, up=-4.0), "velocity", 2, 0.0, -0.8),
+        (IGNORED["tilt"], "attitude", 1, 8.0, -3.6),
+    ],
+    ids=["way", "descent", "tilt"],
+)
+def test_a_begin_is_a_quarter_of_what_is_missing(
+    asked: Setpoint,
+    item: str,
+    place: int,
+    before: float,
+    fifth: float,
+    gained: float,
+    is_begun: bool,
+) -> None:
     stand = Stand()
-    stand.setpoint, stand.attitude = NORTH, None
-    stand.velocity = -3.0, 0.0, 0.0
-    assert stand.fly(0.6) == ""
-    stand.velocity = -3.0 + gained, 0.0, 0.0
-    assert (stand.fly(1.1) == "") is is_begun
+    stand.setpoint, stand.attitude = asked, None
+    for now, seconds in ((before, 0.6), (before + gained * fifth, 1.1)):
+        shown = [0.0, 0.0, 0.0]
+        shown[place] = now
+        setattr(stand, item, tuple(shown))
+        found = stand.fly(seconds)
+    assert (found == "") is is_begun
 
 
 @pytest.mark.parametrize(("turn", "is_ignored"), [(80.0, True), (100.0, False)])
@@ -468,15 +494,17 @@ async def test_the_error_says_what_is_asked_for_and_what_is_flown() -> None:
         assert "no-fly zone" in str(found.value)
 
 
-@pytest.mark.parametrize("asked", ["velocity", "climb", "turn", "tilt"])
+@pytest.mark.parametrize("asked", ["velocity", "climb", "turn", "tilt", "without a velocity"])
 def test_a_slow_line_has_its_time_besides(asked: str) -> None:
     """What an order takes to show is no disobedience: here 0.8 s more."""
     stand = Stand()
     stand.check = FollowCheck(
         cast(AircraftState, stand), lambda: stand.setpoint, lambda: stand.now, lambda: 0.8
     )
-    stand.setpoint = IGNORED[asked]
-    assert stand.fly(FOLLOW_S + 0.7) == ""
+    stand.setpoint, usual_s = IGNORED.get(asked), FOLLOW_S
+    if stand.setpoint is None:  # 10 m, and not before 2.5 s
+        stand.setpoint, stand.velocity, usual_s = velocity(north=10.0, east=0.0), None, 2.5
+    assert stand.fly(usual_s + 0.7) == ""
     assert stand.fly(0.3) != ""
 
 

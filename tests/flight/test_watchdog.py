@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from typing import cast
+from unittest.mock import MagicMock
 
 import pytest
 
@@ -38,7 +39,7 @@ class State:
 
 
 def watch(
-    state: State, guards: Guards | None = None
+    state: State, guards: Guards | None = None, loop: asyncio.AbstractEventLoop | None = None
 ) -> tuple[TelemetryWatchdog, list[tuple[StopCause, M100Error]]]:
     found: list[tuple[StopCause, M100Error]] = []
 
@@ -46,9 +47,8 @@ def watch(
         found.append((cause, error))
 
     guards = guards or Guards(stale_telemetry_s=LIMIT)
-    watchdog = TelemetryWatchdog(
-        cast(AircraftState, state), guards, end, asyncio.get_running_loop()
-    )
+    loop = loop or asyncio.get_running_loop()
+    watchdog = TelemetryWatchdog(cast(AircraftState, state), guards, end, loop)
     watchdog.start()
     return watchdog, found
 
@@ -121,19 +121,25 @@ STALLED, LOST = StopCause.TELEMETRY_STALLED, StopCause.NAVIGATION_LOST
 async def test_what_cannot_be_true_ends_it_by_the_guard_of_that_name(
     found: IntegrityState, guards: Guards, expected: StopCause | None
 ) -> None:
-    state = State()
-    watchdog, ends = watch(state, guards)
-    assert ends == []
-    state.integrity = Integrity(found, "seen")
-    watchdog.stop()  # the timer would find it, too
-    assert watchdog.is_quiet(), "ten times a second is often enough"
-    watchdog.hurry()
-    assert watchdog.is_quiet() is (expected is None)
-    assert [cause for cause, _ in ends] == ([] if expected is None else [expected])
-    if expected is not None:
+    for looks in ("at first", "in a hurry", "ten times a second"):
+        state = State()
+        loop = MagicMock()  # no timer of which would find it, too
+        loop.time.return_value = state.newest_at
+        if looks == "at first":
+            state.integrity = Integrity(found, "seen")
+        watchdog, ends = watch(state, guards, loop)
+        if looks != "at first":
+            assert ends == []
+            state.integrity = Integrity(found, "seen")
+            loop.time.return_value += 0.089
+            assert watchdog.is_quiet(), "often enough"
+            loop.time.return_value += 0.002 if looks == "ten times a second" else 0.0
+            if looks == "in a hurry":
+                watchdog.hurry()
+            assert watchdog.is_quiet() is (expected is None)
+        assert [cause for cause, _ in ends] == ([] if expected is None else [expected]), looks
         kind = TelemetryStalled if expected is STALLED else NavigationLost
-        assert isinstance(ends[0][1], kind)
-    watchdog.stop()
+        assert all(isinstance(error, kind) for _, error in ends)
 
 
 async def test_a_suspend_ends_it_whatever_the_clock_of_the_loop_says(
