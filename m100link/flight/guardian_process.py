@@ -226,14 +226,13 @@ class Watch:
     def _drain(self, seconds: float) -> None:
         for _, events in self._input.poll(seconds * 1000):
             try:
-                if events & ~select.POLLIN and not events & select.POLLIN:
-                    raise LineGone
-                if not os.read(self._line, 4096):
-                    raise LineGone
+                is_gone = not events & select.POLLIN or not os.read(self._line, 4096)
             except BlockingIOError:
                 return
-            except OSError as error:
-                raise LineGone from error
+            except OSError:
+                is_gone = True
+            if is_gone:
+                raise LineGone
 
     def _write(self, frame: bytes, *, is_last: bool) -> None:
         """The whole frame, whatever the line takes at once; given up only on a full line."""

@@ -167,8 +167,10 @@ def test_a_half_whose_last_step_is_cut_off_does_not_count(size: int) -> None:
 
 
 def test_what_does_not_fit_is_refused() -> None:
+    room = page.HALF_SIZE - 16 - 8  # behind the head of a half and that of a step
+    assert len(page.sealed(1, 600, [(LAST, 0, 1, bytes(room))])) == page.HALF_SIZE
     with pytest.raises(ValueError, match="do not fit"):
-        page.sealed(1, 600, [(LAST, 0, 1, bytes(1000))] * 20)
+        page.sealed(1, 600, [(LAST, 0, 1, bytes(room + 1))])
 
 
 # -- the watch, in this process, by a clock of the test --------------------------------------------
@@ -250,11 +252,13 @@ def listening(monkeypatch: pytest.MonkeyPatch) -> Iterator[Watched]:
         yield there
 
 
+@pytest.mark.parametrize("token", [5_000, 1, 0xFFFFFFFF])
 def test_a_setpoint_is_abandoned_after_300_ms_and_a_flight_after_its_patience(
-    watched: Watched,
+    watched: Watched, token: int
 ) -> None:
     watched.publish(1)
-    watched.set(page.TOKEN, 5_000)
+    watched.now = token
+    watched.set(page.TOKEN, token)
     watched.watch.run()
     # To 300 ms; its three frames, 40 ms; to 700 ms; and the last three with 50 ms between.
     assert watched.waits == [300, 0, 20, 20, 360, 0, 50, 50]
@@ -386,6 +390,10 @@ def test_a_full_line_is_waited_for_and_what_was_cut_off_is_remembered(
     assert watched.watch._torn == 7, "nothing of that one did"
     watched.watch._write(bytes(10), is_last=True)
     assert watched.watch._torn == 0
+    monkeypatch.setattr(page, "_ROOM_WITHIN_S", (60.0, 60.0))
+    taken = iter([3, None, 7])
+    watched.watch._write(bytes(10), is_last=True)
+    assert watched.watch._torn == 0, "the line was full for a moment"
 
 
 def test_a_line_is_waited_for_a_second_in_flight_and_30_at_the_end() -> None:
@@ -462,6 +470,11 @@ def test_a_dead_programs_line_is_read_and_one_that_is_closed_ends_it(watched: Wa
     watched.watch._drain(1.0)
     assert not select.select([watched.ends[0]], [], [], 0)[0]
     watched.aircraft.close()
+    with pytest.raises(page.LineGone):
+        watched.watch._drain(1.0)
+    with pytest.raises(page.LineGone):
+        watched.watch._write(bytes(10), is_last=True)
+    os.close(watched.ends[0].detach())  # POLLNVAL
     with pytest.raises(page.LineGone):
         watched.watch._drain(1.0)
 
