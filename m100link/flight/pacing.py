@@ -193,12 +193,12 @@ def _ring(reference: weakref.ref[DeadlineTimer]) -> None:
 
 def _after_fork() -> None:
     """A child has the parent's timers, and would set and hear them in its place."""
-    for alarm in list(_alarms):
-        own = _create_timer() if alarm._fd >= 0 else -1
+    for alarm in [each for each in _alarms if each._fd >= 0]:
+        own = _create_timer()
         if own >= 0:
             os.dup2(own, alarm._fd, inheritable=False)
             os.close(own)
-        elif alarm._fd >= 0:
+        else:
             os.close(alarm._fd)
 
 

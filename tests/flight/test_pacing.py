@@ -14,10 +14,12 @@ import time
 from itertools import islice, pairwise
 from pathlib import Path
 from types import FrameType
+from unittest.mock import MagicMock
 
 import pytest
 
 from m100link.errors import UsageError
+from m100link.flight import pacing
 from m100link.flight.pacing import MAX_RATE_HZ, DeadlineTimer, Lead, Tick, Ticker
 from m100link.sim import VirtualClockEventLoop
 from tests.waiting import PATIENCE
@@ -226,6 +228,19 @@ class TestOnTheRealClock:
                     assert loop.time() >= deadline
                     assert served > before
         other.cancel()
+
+    @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs timerfd")
+    async def test_the_timer_is_set_once_and_ahead_of_the_deadline_by_its_lead(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        arm = MagicMock(wraps=pacing._arm_timer)
+        monkeypatch.setattr(pacing, "_arm_timer", arm)
+        with DeadlineTimer() as alarm:
+            alarm._lead.seconds = 0.003
+            deadline = asyncio.get_running_loop().time() + 0.005
+            await alarm.sleep_until(deadline)
+        assert arm.mock_calls[0].args[1] == pytest.approx(deadline - 0.003, abs=1e-6)
+        assert arm.call_count <= 2, "one that rings at once is set again and again"
 
     async def test_an_alarm_in_the_past_rings_at_once(self) -> None:
         with DeadlineTimer() as alarm:
