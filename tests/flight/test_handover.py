@@ -170,11 +170,14 @@ async def test_a_listener_that_fails_does_not_keep_a_loss_from_the_block(
 async def test_a_release_without_an_answer_leaves_a_state_that_says_so(
     firmware: str, is_heard: bool
 ) -> None:
-    """Nothing tells a lost request from a lost answer."""
+    """Nothing tells a lost request from a lost answer. Each is awaited twice 0.4 s."""
     async with rig(firmware=firmware) as flown:
         async with flown.aircraft.control():
             faults = LineFaults(loss=1.0)
             flown.virtual.set_faults(faults, to_aircraft=NO_FAULTS if is_heard else faults)
+            left_at = flown.now
+        requests = 1 if firmware == "1.0" else 2  # 50 ms apart
+        assert flown.now - left_at == pytest.approx(0.8 * requests + 0.05 * (requests - 1))
         flown.virtual.set_faults()
         states = [flown.aircraft.authority.state]
         assert flown.is_released is is_heard
@@ -218,19 +221,19 @@ class Slow:
         return self._code
 
 
+@pytest.mark.parametrize("slack_s", [0.0, 0.4])
 async def test_a_release_that_is_put_off_again_and_again_ends_after_two_seconds(
-    caplog: pytest.LogCaptureFixture,
+    slack_s: float, caplog: pytest.LogCaptureFixture
 ) -> None:
+    """Two requests may each take the slack of a slow line besides."""
     async with rig() as flown:
         await obtain_authority(flown.aircraft._commander)
         slow = Slow(AuthorityCode.RELEASING, after=0.35)
-        commander = flown.aircraft._commander
-        parts = SimpleNamespace(
-            requests=slow, authority=flown.aircraft.authority, link=commander.link
-        )
+        link = SimpleNamespace(latency=SimpleNamespace(slack_s=slack_s))
+        parts = SimpleNamespace(requests=slow, authority=flown.aircraft.authority, link=link)
         start = flown.now
         assert not await release_authority(cast(Commander, parts))
-        assert flown.now - start == pytest.approx(2.0, abs=0.01)
+        assert flown.now - start == pytest.approx(2.0 + 2 * slack_s, abs=0.01)
         assert flown.aircraft.authority.state is AuthorityState.UNRELEASED
         assert "may not be released" in caplog.text
 

@@ -13,11 +13,12 @@ import pytest
 
 from m100link.errors import TaskRefused, UsageError
 from m100link.flight import control as controls
+from m100link.flight import tasks
 from m100link.flight.control import Control
 from m100link.flight.guidance import GuidanceProgress
 from m100link.flight.loops import ClosedLoops
 from m100link.flight.pacing import Tick
-from m100link.flight.tasks import switch_motors
+from m100link.flight.tasks import run_task, switch_motors
 from m100link.geodesy import LocalFrame
 from m100link.protocol.codes import ArmCode
 from m100link.protocol.commands.control import Arm, Task
@@ -386,6 +387,21 @@ async def test_a_task_of_the_autopilot_has_its_time_and_its_listener(
     assert one._block.taking_off.called is is_up
     assert one._make_way.mock_calls[0].kwargs == {"is_landing": not is_up}
     assert (one._unended_task, one._steering.running_task) == (None, None)
+
+
+@pytest.mark.parametrize(
+    ("task", "usual_s"), [(Task.TAKE_OFF, 20.0), (Task.LAND, 60.0), (Task.GO_HOME, 300.0)]
+)
+async def test_a_task_has_the_time_of_a_slow_line_besides(
+    task: Task, usual_s: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    watch, commander = MagicMock(), MagicMock()
+    watch.return_value.run = AsyncMock()
+    monkeypatch.setattr(tasks, "_Watch", watch)
+    commander.link.latency.slack_s = 0.7
+    for given, limit in ((None, usual_s + 0.7), (1.5, 1.5)):
+        await run_task(commander, task, timeout=given)
+        assert watch.return_value.run.mock_calls[-1] == call(limit)
 
 
 def test_each_limit_is_as_agreed() -> None:

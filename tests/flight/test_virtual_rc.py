@@ -29,6 +29,7 @@ from m100link import (
     UsageError,
 )
 from m100link.flight import virtual_rc
+from m100link.flight.tasks import Deflections
 from m100link.flight.virtual_rc import VirtualRc
 from m100link.protocol.codes import VersionCode
 from m100link.protocol.commands.activation import Version
@@ -495,6 +496,24 @@ async def test_the_corner_is_not_a_deflection_like_others(flown: Rig) -> None:
         with pytest.raises(TaskRefused, match="not known to be on the ground"):
             await rc.toggle_motors()
         assert {where for _, where in sticks(flown)} == {NEUTRAL}
+
+
+@pytest.mark.parametrize(
+    ("roll", "pitch", "throttle", "yaw", "is_it"),
+    [
+        (-1.0, -1.0, -1.0, 1.0, True),
+        (0.95, -0.91, -0.92, -0.93, True),
+        (-1.0, -0.8, -1.0, 1.0, False),
+        (-1.0, -1.0, -0.8, 1.0, False),
+        (-0.8, -1.0, -1.0, 1.0, False),
+        (-1.0, -1.0, -1.0, 0.8, False),
+        (-1.0, 1.0, 1.0, 1.0, False),
+    ],
+)
+def test_both_sticks_down_and_aside_are_the_corner(
+    roll: float, pitch: float, throttle: float, yaw: float, is_it: bool
+) -> None:
+    assert Deflections(roll, pitch, throttle, yaw).are_in_corner is is_it
 
 
 async def test_v4_the_motors_start_and_stop_by_their_name_on_the_ground() -> None:
