@@ -117,7 +117,7 @@ class Orbit:
         if self._bearing is not None:
             self._to_go_deg -= self._sense * normalize_degrees(bearing - self._bearing)
         self._bearing = bearing
-        yaw_deg = normalize_degrees(bearing + 180.0)
+        yaw_deg = math.degrees(math.atan2(-place[1], -place[0]))
         if heading_deg is None or abs(normalize_degrees(yaw_deg - heading_deg)) < _FACING_DEG:
             self._is_moving = True
         distance = math.hypot(*place) or 1e-6
@@ -480,7 +480,7 @@ class ClosedLoops:
             await self._fly_straight(
                 call,
                 (*center.to_geodetic(*first), height),
-                yaw_deg=normalize_degrees(math.degrees(bearing) + 180.0),
+                yaw_deg=math.degrees(math.atan2(-first[1], -first[0])),
                 speed=None,
                 tolerance_m=_BEGINS_WITHIN_M,
                 timeout=timeout,
@@ -560,10 +560,10 @@ def _place(
     north, east = offset
     latitude_deg, longitude_deg = place
     if north is not None and east is not None and place == (None, None):
+        if not math.isfinite(north) or not math.isfinite(east):
+            raise UsageError(f"{north:g} m north, {east:g} m east cannot be flown to")
         frame = frame or LocalFrame(here.latitude_deg, here.longitude_deg)
-        if math.isfinite(north) and math.isfinite(east):
-            return frame.to_geodetic(north, east)
-        raise UsageError(f"{north:g} m north, {east:g} m east cannot be flown to")
+        return frame.to_geodetic(north, east)
     is_place = latitude_deg is not None and longitude_deg is not None
     if not is_place or offset != (None, None) or frame is not None:
         raise UsageError(

@@ -193,9 +193,9 @@ def test_an_orbit_that_needs_more_tilt_than_there_is_is_refused_with_what_can_be
 
 
 def test_an_orbit_that_turns_faster_than_the_aircraft_follows_is_refused() -> None:
-    with pytest.raises(UsageError, match=r"turns by 57°/s.* follows up to 40°/s") as caught:
-        Orbit(radius=1, speed=1, turns=1, clockwise=True, max_speed=10)
-    assert caught.value.remedy == "at most 0.7 m/s on this radius, or at least 1.4 m of radius"
+    with pytest.raises(UsageError, match=r"turns by 72°/s.* follows up to 40°/s") as caught:
+        Orbit(radius=1.2, speed=1.5, turns=1, clockwise=True, max_speed=10)
+    assert caught.value.remedy == "at most 0.8 m/s on this radius, or at least 2.1 m of radius"
 
 
 @pytest.mark.parametrize(
@@ -227,6 +227,11 @@ def test_far_from_the_circle_most_of_the_speed_leads_to_it() -> None:
         steering = orbit.steer((north, 0.0), None, None, 0.02)
         assert steering.north == pytest.approx(wanted)
         assert math.hypot(steering.north, steering.east) <= 5
+    orbit = Orbit(radius=10, speed=3, turns=1, clockwise=True, max_speed=3.2)
+    for _ in range(40):
+        steering = orbit.steer((14.0, 0.0), None, None, 0.1)
+    assert (steering.north, steering.east) == pytest.approx((-2.56, 1.92), abs=1e-5)
+    assert math.hypot(steering.north, steering.east) <= 3.2, "more is no setpoint"
 
 
 def turned(vector: tuple[float, float], angle: float) -> tuple[float, float]:

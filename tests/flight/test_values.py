@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
 from collections.abc import AsyncIterator
 from contextlib import nullcontext
+from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any
 from unittest.mock import AsyncMock, MagicMock, call
@@ -296,6 +298,25 @@ async def test_a_path_is_flown_with_its_heading_and_each_point_is_looked_at(
     assert 66.0 < progress.distance_m < 70.0, "the corner is rounded"
     await one.loops.fly_path(points, speed=4.0, yaw_deg=77.0)
     assert one.step()[1].yaw == 77.0
+
+
+async def test_a_path_and_a_circle_become_faster_by_the_time_between_two_steps() -> None:
+    """By 1 m/s² and by 0.8 m/s², the circle ahead of that by the lag of the velocity, 0.65 s."""
+    one = Loops()
+    north, east = math.cos(math.radians(YAW)), math.sin(math.radians(YAW))  # where it looks
+
+    async def gained(ahead: tuple[float, float]) -> list[float]:
+        along = []
+        for _ in range(3):
+            (x, y, *_), _, _ = one.step()
+            along.append(x * ahead[0] + y * ahead[1])
+            await asyncio.sleep(0.5)
+        return [later - before for before, later in pairwise(along)]
+
+    await one.loops.fly_path([(20.0 * north, 20.0 * east, HEIGHT)], speed=4.0)
+    assert await gained((north, east)) == near([0.5, 0.5])
+    await one.loops.orbit(center_north=20.0 * north, center_east=20.0 * east)
+    assert await gained((east, -north)) == near([0.4 + 0.65 * 0.8, 0.4])
 
 
 @pytest.mark.parametrize(
