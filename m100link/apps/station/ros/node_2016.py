@@ -17,6 +17,7 @@ What differs from DJI's source, for safety or because the source is wrong:
 from __future__ import annotations
 
 import asyncio
+import ctypes
 import math
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -65,7 +66,7 @@ def place_of(origin: tuple[float, float], north: float, east: float) -> tuple[fl
 
 def _ts(sample: Sample) -> int:
     tick = sample.time.tick if sample.time is not None else 0
-    return (tick + (1 << 31)) % (1 << 32) - (1 << 31)  # int32, as the node casts it
+    return ctypes.c_int32(tick).value  # as the node casts it
 
 
 def _row(kind: str, frame: str | None, read: Callable[[Sample], dict[str, Any] | None]) -> DjiTopic:
@@ -136,7 +137,7 @@ def _compass(sample: Sample) -> dict[str, Any] | None:
     found = sample.magnetometer
     if found is None or not all(map(math.isfinite, found)):
         return None
-    return {axis: (int(value) + 128) % 256 - 128 for axis, value in zip("xyz", found, strict=True)}
+    return {axis: ctypes.c_int8(int(one)).value for axis, one in zip("xyz", found, strict=True)}
 
 
 def _power(sample: Sample) -> dict[str, Any] | None:

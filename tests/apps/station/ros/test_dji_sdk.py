@@ -88,13 +88,14 @@ async def test_position_velocity_rc_battery_and_the_rest(rig: Rig) -> None:
 
 async def test_local_position_is_east_north_up_of_its_reference(rig: Rig) -> None:
     client = rig.client()
+    rig.aircraft.vehicle.flight.dynamics.place(0.0, 0.0, 5.0)
+    await anyio.sleep(0.1)
     client.call("/dji_sdk/set_local_pos_ref")
     point = (await newest(rig, client, "/dji_sdk/local_position"))["point"]
     assert [point[axis] for axis in "xyz"] == pytest.approx([0, 0, 0], abs=0.05)
-    rig.aircraft.vehicle.flight.dynamics.north = 3.0
-    rig.aircraft.vehicle.flight.dynamics.east = -2.0
+    rig.aircraft.vehicle.flight.dynamics.place(3.0, -2.0, 9.0)
     point = (await newest(rig, client, "/dji_sdk/local_position"))["point"]
-    assert (point["x"], point["y"]) == pytest.approx((-2.0, 3.0), abs=0.05)
+    assert [point[axis] for axis in "xyz"] == pytest.approx([-2.0, 3.0, 4.0], abs=0.05)
 
 
 async def test_services_activate_obtain_fly_and_release(rig: Rig) -> None:
