@@ -453,7 +453,7 @@ class SignatureMemory:
         A sender that does not stop is written for once in two seconds.
         """
         newest = self._newest()
-        if all(when <= self._written.get(sender, -1) for sender, when in newest.items()):
+        if all(when <= self._written.get(sender, 0) for sender, when in newest.items()):
             return None
         return Snapshot(self._signer.sent, {one: when + AHEAD for one, when in newest.items()})
 

@@ -360,10 +360,8 @@ _FOLDER = "log"  # where the flight logs are, for peers
 
 def _path(data: bytes) -> str:
     """A path without the slashes that mean nothing. Raises _Refused: it may lead somewhere else."""
-    try:
-        parts = [one for one in data.split(b"\0", 1)[0].decode().split("/") if one not in ("", ".")]
-    except UnicodeDecodeError:
-        raise _Refused(_Error.FILE_NOT_FOUND) from None
+    text = data.split(b"\0", 1)[0].decode(errors="replace")  # no file of ours has other letters
+    parts = [one for one in text.split("/") if one not in ("", ".")]
     if ".." in parts:
         raise _Refused(_Error.FILE_NOT_FOUND)
     return "/".join(parts)

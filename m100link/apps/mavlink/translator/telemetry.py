@@ -405,7 +405,7 @@ class Rates:
         self._asked: dict[codec.Peer, dict[str, float]] = {}
         # The rates of each address: made anew, once a step, when rates or addresses changed.
         self.audience: Audience | None = None
-        self.due_at = -math.inf  # when something is due for that audience
+        self.due_at = 0.0  # when something is due for that audience
         self._present: set[codec.Peer] = set()
         self._tables: dict[codec.Address, dict[str, float]] = {}
         self.is_often = False  # whether anything is sent more often than usual telemetry ever is

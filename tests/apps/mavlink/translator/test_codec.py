@@ -99,6 +99,10 @@ def test_reading_tells_what_it_cost() -> None:
     broken = MessageReader(bytes(500) + valid[:-1] + bytes([valid[-1] ^ 1]))
     assert list(broken) == []
     assert broken.checked == len(valid)
+    foreign = signed(PacketSigner(bytes(32)), 1)
+    forged = MessageReader(bytes(500) + foreign, signer=PacketSigner(KEY))
+    assert list(forged) == []
+    assert forged.checked == len(foreign)
     overlapping = MessageReader(b"\xfe\xf0\0\0\0\0" * 230)
     assert list(overlapping) == []
     assert overlapping.checked > 30 * 1380

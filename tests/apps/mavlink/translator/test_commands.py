@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -228,6 +229,7 @@ def test_a_speed_is_that_of_the_flights_that_come() -> None:
         whole(ORBIT, LOCAL_NED, 100_000, 50_000, NAN, 15.0, 2.0),
         long(ORBIT, 0.0, 2.0),
         long(ORBIT, NAN, 2.0),
+        long(ORBIT, 0.4, 2.0),
     ],
 )
 def test_what_cannot_be_flown_as_it_is_said_is_denied(message: MavlinkMessage) -> None:
@@ -244,6 +246,9 @@ def test_the_present_height_of_an_aircraft_that_tells_none_is_not_flown_to() -> 
     assert asked.ask(to_a_place) is MavResult.DENIED
     assert asked.requests == []
     assert "the height is unknown" in asked.texts[-1]
+    known.state = replace(known.state, firmware="3.1")
+    assert asked.ask(long(195)) is MavResult.DENIED
+    assert "gimbal: the place is missing" in asked.texts[-1]
 
 
 MODE, CURRENT, START, PAUSE, ARM, STANDARD = 176, 224, 300, 193, 400, 262

@@ -11,9 +11,11 @@ import pytest
 
 from m100link.apps.agent.messages import Event, EventTopic
 from m100link.apps.agent.orders import FlyAround, FlyTo, GuidedOrder
+from m100link.apps.mavlink.order_executor import MissionFlights
 from m100link.apps.mavlink.translator.codec import MavlinkMessage, Peer
 from m100link.apps.mavlink.translator.missions import MissionProtocol, read_fence
 from m100link.apps.mavlink.translator.orders import FlightSequence, HoldPosition, ModeRequest
+from m100link.apps.mavlink.translator.payload import Aim
 from m100link.apps.mavlink.translator.vehicle import MavlinkVehicle
 from m100link.apps.mavlink.translator.vehicle_state import (
     ARM_VERDICTS,
@@ -133,6 +135,8 @@ def test_a_slow_upload_keeps_no_other_station_from_uploading() -> None:
     assert one.missions.due_at == 70.55
     [*one.missions.due(70.55, is_flying=False)]
     assert one.answers() == [("REQUEST_INT", 11, 245)]
+    assert one.item(11, 70.6) == [("REQUEST_INT", 12, 245)]
+    assert one.missions.due_at == pytest.approx(70.8), "of the question before"
 
 
 def test_a_station_begins_its_upload_anew() -> None:
@@ -317,6 +321,10 @@ def test_heights_above_the_sea_are_uploaded_before_the_ground_is_known() -> None
     route = one.missions.route()
     assert route is not None
     assert route.legs[0].order.height == 40.0
+    one.ground, craft = None, vehicle()
+    flights = MissionFlights(craft.world, craft.manager, one.missions, lambda *_: None)
+    with pytest.raises(UsageError, match="altitude of the ground is unknown"):
+        flights.mission_request(PEER, None)
 
 
 # -- modes, and what takes over from what: as the manual has it ------------------------------------
@@ -698,23 +706,25 @@ def test_a_flight_to_a_place_ends_there_before_a_fence(leg: FlyTo | None, held: 
 
 
 @pytest.mark.parametrize(
-    ("speed", "radius", "fence", "held"),
+    ("speed", "radius", "fence", "east", "held"),
     [
-        (5.0, 20.0, 21.0, False),
-        (5.0, 19.0, 21.0, True),
-        (5.0, 30.0, 21.0, True),
-        (2.2, 20.0, 20.3, False),
+        (5.0, 20.0, 21.0, 20.0, False),
+        (5.0, 19.0, 21.0, 20.0, True),
+        (5.0, 30.0, 21.0, 20.0, True),
+        (2.2, 20.0, 20.3, 20.0, False),
+        (5.0, 20.0, 9.7, 0.0, False),  # 9.3 m north and 2.3 m east, 9.6 m from here
+        (5.0, 20.0, 9.5, 0.0, True),
     ],
 )
 def test_a_circle_is_flown_around_its_middle_before_a_fence(
-    speed: float, radius: float, fence: float, held: bool
+    speed: float, radius: float, fence: float, east: float, held: bool
 ) -> None:
     """20 m west of the middle, to the north: straight on it would be 22.6 m from the middle.
 
     At 2.2 m/s, which look 4.4 m ahead, that is 20.5 m.
     """
     leg = FlyAround(*HERE.to_geodetic(0.0, 20.0), 8.0, radius)
-    assert is_held(flying((speed, 0.0), leg), circle(fence, 0.0, 20.0)) is held
+    assert is_held(flying((speed, 0.0), leg), circle(fence, 0.0, east)) is held
 
 
 @pytest.mark.parametrize("turn", [1, 1j, -1, -1j])
@@ -740,8 +750,13 @@ def test_polygons_share_a_frame_within_two_kilometres_alone() -> None:
     assert (north.latitude_deg, east.longitude_deg) == (22.6, 114.0)
 
 
-def test_a_gimbal_is_not_turned_by_a_heading_that_nobody_knows() -> None:
+def test_a_gimbal_turns_by_60_degrees_a_second_and_not_by_a_heading_that_nobody_knows() -> None:
     one = vehicle()
+    # It looks 37.25 degrees down and to 118.75; each axis has its own way and speed.
+    for rates, seconds in (((math.nan, -25.0), 0.75), ((10.0, math.nan), 2.275)):
+        turn = one._payload._angles_of(Aim(PEER, -60.0, 100.0, math.nan, False, *rates))
+        assert turn is not None
+        assert turn.duration_s == pytest.approx(seconds)
     known: Any = one.world.known
     del known.items[Attitude]
     with pytest.raises(UsageError, match="heading of the aircraft is unknown"):
