@@ -46,7 +46,7 @@ With a delay of 3 s in each direction an answer takes 6.5 s, and lost messages a
 _logger = logging.getLogger(__name__)
 
 _AGAIN_S = 0.1
-_NEVER = (math.inf, -math.inf, "")
+_NEVER = (math.inf, 0.0, "")
 RIGHTS = "m100link fleet acl check FILE --who NAME, with the router's fleet file"
 
 Sign = Callable[[OrderMessage, str], OrderMessage]
@@ -94,7 +94,7 @@ class Asker:
         # The agent's own clock by the event loop's, from every answer that says what it shows.
         self.its_clock = ClockEstimate()
         self.its_boot = ""  # the run of the agent that answered last
-        self._shown = -math.inf  # what its clock showed in the answers of that run at most, s
+        self._shown = 0.0  # what its clock showed in the answers of that run at most, s
         # Clocks of several agents that answered; which is the aircraft is unknown.
         self.doubtful_clocks: list[float] = []
 
@@ -174,7 +174,7 @@ class Asker:
 
     def unstopped_since(self) -> float:
         """Since when this program has heard of no STOP, s; from now on at the latest."""
-        return self._unstopped.setdefault(self.keys.name, (self._clock(), -math.inf, ""))[0]
+        return self._unstopped.setdefault(self.keys.name, (self._clock(), 0.0, ""))[0]
 
     def hear_of_stop(self) -> None:
         """The program ordered it, or is refused for it: what it asks for next it means."""
@@ -374,7 +374,7 @@ class Asker:
         if isinstance(found, OrderReply):
             self.its_clock.heard(asked_at, found.clock, self._clock())
             if found.boot not in ("", self.its_boot):
-                self.its_boot, self._shown = found.boot, -math.inf
+                self.its_boot, self._shown = found.boot, 0.0
             self._shown = max(self._shown, found.clock)
         return found
 

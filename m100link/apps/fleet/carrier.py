@@ -97,7 +97,7 @@ class FleetChannel(ChannelEnd):
         self._holder = messages.LeaseChanged(0, "")
         self._leases: dict[int, Lease] = {}
         self._leasing: set[asyncio.Task[None]] = set()  # orders about the lease, under way
-        self._renewed_at = -_RENEWAL_S
+        self._renewed_at = -math.inf
         self._shown_at = 0.0  # when the agent showed the last time that the lease is in force
         self.lost: M100Error | None = None  # what the agent refused to renew it with
         # Why the newest setpoint with a report was not flown. A page shows what is true of

@@ -181,7 +181,7 @@ class Thinner:
 
     def __init__(self, rate_hz: float = WALL_HZ) -> None:
         self._interval = 1.0 / rate_hz
-        self._sent_at = [-math.inf] * _BITS
+        self._sent_at = [0.0] * _BITS
         self._seen_at = [-math.inf] * _BITS
 
     def goes_on(self, flags: int, at: float) -> bool:

@@ -10,6 +10,7 @@ from contextlib import AsyncExitStack
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
+from unittest.mock import AsyncMock
 
 import anyio
 import pytest
@@ -568,6 +569,14 @@ async def test_a_refusal_that_first_shows_the_time_there_is_asked_again(
     assert reply is not None
     assert reply.outcome is outcome
     assert asked == ([boot, "run"] if is_asked_again else [boot])
+
+
+async def test_nobody_who_is_not_there_is_asked_for_a_lease() -> None:
+    one, asked = bare(), AsyncMock()
+    one._answered = asked  # type: ignore[method-assign]
+    with pytest.raises(Unreachable, match="no agent named a1"):
+        await one.take_lease(one.lease_request())
+    assert not asked.called
 
 
 @pytest.mark.parametrize(("guard", "is_stop"), [("stopped", True), ("envelope", False)])

@@ -26,6 +26,7 @@ from m100link.apps.agent.messages import (
     Hello,
     LeaseChanged,
     Message,
+    MessageError,
     OrderOutcome,
     Stage,
     State,
@@ -722,3 +723,5 @@ async def test_a_setpoint_of_a_lease_that_is_not_in_force_leaves_nothing() -> No
         one.channel.send(Steer(fence, 49.75, 0.4, NORTH))
         assert sum(isinstance(message, SteerRefused) for message in one.given) == 1, fence
     assert one.steers() == [(149.75, True)]
+    with pytest.raises(MessageError, match="a client does not send SteerRefused"):
+        one.channel.send(one.given[-1])

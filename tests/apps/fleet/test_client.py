@@ -286,6 +286,7 @@ async def test_each_doubtful_agent_is_asked_to_land_as_of_the_time_of_the_first_
             self.doubtful_clocks = [100.0, 200.0]
             raise OutcomeUnknown("nobody knows")
 
+    await anyio.sleep(30.0)
     with pytest.raises(OutcomeUnknown):
         await FleetAircraft(cast("Any", Asker()), "operator").land()
     # A STOP that came there within those two seconds is younger than the order, and ends it.

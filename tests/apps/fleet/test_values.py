@@ -28,7 +28,7 @@ pytest.importorskip("zenoh")
 
 import m100link
 from m100link.apps.agent.messages import Event, LeaseChanged, RemoteError, State, Steer, Telemetry
-from m100link.apps.agent.orders import Land, Stop, TakeOff
+from m100link.apps.agent.orders import AskVersion, Land, Stop, TakeOff
 from m100link.apps.bus.session import LARGEST
 from m100link.apps.cli import fleet_verbs
 from m100link.apps.fleet import client as clients
@@ -508,6 +508,16 @@ async def test_a_stop_is_asked_for_by_one_order(error: M100Error) -> None:
     with pytest.raises(type(error)):
         await clients.FleetAircraft(asker, "anna").stop()
     assert asker.ask.mock_calls == [call(Stop())]
+
+
+async def test_one_that_answers_and_tells_no_state_is_asked_why(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(clients, "cards", AsyncMock(return_value={}))
+    asker: Any = MagicMock(ask=AsyncMock(), keys=Keys("field", "kite"))
+    with pytest.raises(OutcomeUnknown, match="kite answers, but does not say where it stands"):
+        await clients.FleetAircraft(asker, "anna").card()
+    assert set(map(str, asker.ask.mock_calls)) == {str(call(AskVersion()))}
 
 
 async def test_one_is_gone_when_its_last_session_is() -> None:

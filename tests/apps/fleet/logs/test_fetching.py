@@ -14,7 +14,7 @@ from m100link.apps.bus.network import Question
 from m100link.apps.fleet.asking import PATIENCE_S
 from m100link.apps.fleet.logs.fetching import PIECE, Fetched, LogFetcher
 from m100link.apps.fleet.logs.words import LogReply, pack_entries, pack_reply
-from m100link.apps.fleet.payloads import VERSION, OrderMessage, unpack
+from m100link.apps.fleet.payloads import VERSION, LogQuestion, OrderMessage, unpack
 from m100link.errors import FleetError, Unreachable, UsageError
 from m100link.log.folder import LogEntry
 from tests.apps.bus.memory import Weather
@@ -42,9 +42,18 @@ class Steps:
 
 
 async def test_the_newest_comes_whole_by_default(road: Road, tmp_path: Path) -> None:
-    steps = Steps()
+    steps, fetcher, asked = Steps(), road.fetcher(), list[int]()
+
+    real = fetcher._piece
+
+    async def piece(log: str, at: int, length: int) -> bytes:
+        asked.append(length)
+        return await real(log, at, length)
+
+    fetcher._piece = piece  # type: ignore[method-assign]
     async with serving(road):
-        fetched = await road.fetcher().fetch(to=tmp_path / "here", progress=steps)
+        fetched = await fetcher.fetch(to=tmp_path / "here", progress=steps)
+    assert asked == [PIECE] * 4 + [300_000 - 4 * PIECE]
     assert fetched == Fetched("a1", FIRST, tmp_path / "here" / WHOLE, 300_000, 300_000, False)
     assert fetched.path.read_bytes() == bytes_of(300_000)
     assert [path.name for path in (tmp_path / "here").iterdir()] == [WHOLE]
@@ -193,6 +202,21 @@ async def test_a_piece_of_another_place_or_length_is_not_taken(
     monkeypatch.setattr(fetcher, "_ask", answered)
     with pytest.raises(UsageError, match="ends at 300000 bytes"):
         await fetcher._piece(FIRST, PIECE, 10)
+
+
+async def test_lines_of_an_audit_are_asked_for_behind_those_that_came(
+    road: Road, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lines, asked = {7: b"a\nb\n", 9: b"c\n", 10: b""}, list[int]()
+
+    async def answered(question: LogQuestion) -> tuple[LogReply, bytes]:
+        asked.append(question.offset)
+        return LogReply("", "a1"), lines[question.offset]
+
+    fetcher = road.fetcher()
+    monkeypatch.setattr(fetcher, "_ask", answered)
+    assert await fetcher.audit(7) == b"a\nb\nc\n"
+    assert asked == [7, 9, 10]
 
 
 @pytest.mark.parametrize("size", [1, 9, 10])

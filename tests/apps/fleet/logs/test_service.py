@@ -58,6 +58,11 @@ async def test_what_is_not_there_or_not_for_it_is_refused_with_its_reason(road: 
         assert reply.outcome is Outcome.REFUSED
         assert reply.fault is not None
         assert isinstance(reply.fault.error(), UsageError)
+        reply, _ = await asked(road, LogQuestion(What.AUDIT, "", 1))
+        assert (reply.outcome, reply.fault and reply.fault.seen) == (
+            Outcome.REFUSED,
+            "a1 writes no audit log",
+        )
         reply, _ = await asked(road, LogQuestion(What.LIST), aircraft="a2")
         assert reply.outcome is Outcome.NOT_ALLOWED
         reply, _ = await asked(road, LogQuestion(What.LIST), order=AskShow("r"))

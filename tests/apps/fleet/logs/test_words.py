@@ -83,6 +83,9 @@ def test_no_more_than_a_piece_can_be_asked_for(offset: int, length: int) -> None
 def test_another_version_is_said_and_too_much_is_not_read() -> None:
     good = pack_reply(LogReply("", "a1"))
     assert good[0] == VERSION
+    assert unpack_reply(good + bytes(MOST_PIECE))[1] == bytes(MOST_PIECE)
+    with pytest.raises(MessageError, match="not a list of logs"):
+        unpack_entries(b"{}")
     with pytest.raises(MessageError, match="version 9"):
         unpack_reply(b"\x09" + good[1:])
     with pytest.raises(MessageError):
