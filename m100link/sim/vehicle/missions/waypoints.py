@@ -95,7 +95,7 @@ class WaypointExecution:
         self._s = 0.0  # how far along, metres
         self._way: RouteLeg | None = None  # to the first point
         self._from = self._steering.here  # where it climbs before that
-        self._furthest = -1  # the last waypoint whose actions were done in this run
+        self._furthest = 0  # the last waypoint whose actions were done in this run
         self._runs_left = mission.repeat
         self._moment = 0.0  # seconds left in a phase that lasts a while
         self._actions: ActionRunner | None = None
@@ -215,8 +215,7 @@ class WaypointExecution:
         return self._stay(sticks)
 
     def _wait(self, sticks: Sticks) -> DynamicsInput:
-        if sticks.pitch < -_STICK_DEAD_ZONE:
-            self._enter(len(self._legs) - 1, self._legs[-1].length)
+        if sticks.pitch < -_STICK_DEAD_ZONE:  # back from the end of the last leg, where it is
             self.phase = WaypointPhase.FLY
         return self._stay(sticks)
 
@@ -268,7 +267,6 @@ class WaypointExecution:
         finish = self.plan.mission.finish_action
         self._from = self._steering.here
         if self._runs_left > 0:
-            self._furthest = -1
             self.index = 0
             self.phase = WaypointPhase.CLIMB
         elif finish == FinishAction.FIRST_POINT:

@@ -83,9 +83,9 @@ def test_a_turn_ends_at_the_heading() -> None:
 
 
 def test_the_gimbals_pitch() -> None:
-    program, seconds = flown((Do.GIMBAL_PITCH, -90))
-    assert program.vehicle.gimbal.pitch == pytest.approx(-90.0)
-    assert seconds == pytest.approx(2.0, abs=0.1)
+    program, seconds = flown((Do.GIMBAL_PITCH, -90), (Do.GIMBAL_PITCH, -45))
+    assert program.vehicle.gimbal.pitch == pytest.approx(-45.0)
+    assert seconds == pytest.approx(2.0 + 1.0, abs=0.1)
 
 
 @pytest.mark.parametrize(("repeat", "photos"), [(0, 1), (1, 1), (3, 3), (15, 15)])

@@ -21,7 +21,13 @@ from m100link.protocol.commands.hotpoint import (
 from m100link.protocol.commands.missions import HotpointStatus
 from m100link.protocol.records import RcMode
 from m100link.sim.vehicle.dynamics import Dynamics, ModelVertical, ModelYaw
-from m100link.sim.vehicle.missions.hotpoint import FollowExecution, HotpointExecution, largest_rate
+from m100link.sim.vehicle.missions.hotpoint import (
+    FollowExecution,
+    HotpointExecution,
+    follow_code,
+    hotpoint_code,
+    largest_rate,
+)
 from m100link.sim.vehicle.missions.route import LocalPlace, MissionSettings, Site
 from m100link.sim.vehicle.remote import Sticks
 from tests.sim.host import Host
@@ -117,6 +123,27 @@ def test_where_a_circle_may_be() -> None:
     away = flying(north=50.0, east=-20.0, radius_limit=100.0)  # from home, wherever it is now
     assert away.ask(hotpoint(60.0, radius=41.0, angular_rate=5.0)).code == Code.TOO_FAR_FROM_HOME
     assert away.ask(hotpoint(60.0, radius=39.0, angular_rate=5.0)).code == OK
+
+
+def test_distances_count_on_both_axes() -> None:
+    """56.6 m from home to the centre, and 113 m from the aircraft; 21.2 km and 56.6 m."""
+    here, home = LocalPlace(-50.0, 50.0, 10.0), LocalPlace(-10.0, 10.0, 0.0)
+    circle = hotpoint(30.0, -30.0, radius=5.0)
+    for limits, code in (
+        ({}, Code.SUCCESS),
+        ({"radius_limit": 60.0}, Code.TOO_FAR_FROM_HOME),
+        ({"farthest_start": 100.0}, Code.TOO_FAR_AWAY),
+    ):
+        site = Site(22.5431, 113.9589, 120.0, MissionSettings(**limits))
+        assert hotpoint_code(circle, site, here, home) == code
+    site = Site(22.5431, 113.9589, 120.0, MissionSettings(radius_limit=50.0))
+    target = FollowStart(*radians_at(12_000.0, -12_000.0))
+    here, near = LocalPlace(-3000.0, 3000.0, 10.0), LocalPlace(-2960.0, 2960.0, 0.0)
+    assert follow_code(target, site, here, near) == Code.TARGET_TOO_FAR
+    target = FollowStart(*radians_at(0.0, 0.0))
+    assert follow_code(
+        target, site, LocalPlace(-30.0, 30.0, 10.0), LocalPlace(10.0, -10.0, 0.0)
+    ) == (Code.TOO_FAR_FROM_HOME)
 
 
 def test_on_the_ground_it_does_not_start() -> None:

@@ -11,6 +11,7 @@ from m100link.sim.vehicle.missions.route import (
     LocalPlace,
     MissionSettings,
     MissionSteering,
+    Nose,
     OnLeg,
     RouteLeg,
     distance,
@@ -34,6 +35,7 @@ def test_a_rounded_corner_of_90_degrees_has_its_damping_as_radius() -> None:
     assert leg.length == pytest.approx(35.0 + 5.0 * math.pi / 2.0 + 25.0)
     ((start, end, radius),) = leg.curves
     assert [start, radius] == pytest.approx([35.0, 5.0])
+    assert leg.marks[1] == pytest.approx((35.0 + 5.0 * math.pi / 4.0, 1))
     middle = leg.at((start + end) / 2.0)
     centre = LocalPlace(35.0, 5.0, 10.0)
     assert distance(middle.place, centre) == pytest.approx(5.0)
@@ -175,6 +177,12 @@ def test_a_steep_line_is_as_fast_as_85_percent_of_the_climb_and_0_2_s_are_looked
     for up in (0.8, -0.8):
         assert steering.steepest(LocalPlace(0.6, 0.0, up)) == pytest.approx(0.85 * 4.0 / 0.8)
     assert steering.lead(5.0) == pytest.approx(1.0)
+
+
+def test_the_nose_turns_by_its_rate() -> None:
+    nose = Nose(0.2, 45.0)
+    nose.turn_to(-1.0)
+    assert nose.step() == pytest.approx(0.2 - math.radians(0.45))
 
 
 @pytest.mark.parametrize("rate", [-0.1, 100.1, math.nan])

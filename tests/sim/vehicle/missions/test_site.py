@@ -22,6 +22,7 @@ def test_limits_as_set_and_those_of_an_app_without_a_login() -> None:
     assert strict.is_within_radius(LocalPlace(30, 40, 10), None)
     assert not strict.is_within_radius(LocalPlace(31, 40, 10), (0.0, 0.0))
     assert strict.is_within_radius(LocalPlace(31, 40, 10), (1.0, 0.0))
+    assert strict.is_within_radius(LocalPlace(30, 41, 10), (0.0, 1.0))
 
 
 def test_a_zone_forbids_places_and_ways_through_it() -> None:
@@ -37,3 +38,7 @@ def test_a_zone_forbids_places_and_ways_through_it() -> None:
     ):
         assert closed.is_forbidden(start, end) is is_forbidden
         assert not site().is_forbidden(start, end)
+    aside = site(no_fly_zones=(NoFlyZone(*SITE.to_geodetic(100.0, 60.0), 20.0),))
+    # 4.5 m from its centre, and 22.4 m beside it.
+    assert aside.is_forbidden(LocalPlace(160, 85, 5), LocalPlace(60, 35, 5))
+    assert not aside.is_forbidden(LocalPlace(160, 65, 5), LocalPlace(60, 15, 5))

@@ -152,7 +152,14 @@ def test_the_velocity_before_and_in_a_curve(
 
 @pytest.mark.parametrize(
     ("turn_mode", "before", "after", "shown"),
-    [(0, 90, -30, 150.0), (1, 90, -30, 60.0), (0, -30, 90, 0.0), (1, -30, 90, -90.0)],
+    [
+        (0, 90, -30, 150.0),
+        (1, 90, -30, 60.0),
+        (0, -30, 90, 0.0),
+        (1, -30, 90, -90.0),
+        (0, 40, 40, 40.0),
+        (1, 40, 40, 40.0),
+    ],
 )
 def test_a_quarter_of_the_way_it_has_turned_a_quarter_and_aims_half_a_second_ahead(
     turn_mode: int, before: int, after: int, shown: float
