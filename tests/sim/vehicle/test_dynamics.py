@@ -216,6 +216,30 @@ def test_limits_of_the_document_are_kept(guidance: DynamicsInput, read: str, lim
     assert getattr(motion, read) == pytest.approx(limit, rel=1e-3)
 
 
+def test_lift_and_thrust_of_a_tilted_aircraft() -> None:
+    """Of the thrust, cos 20 x cos 30 = 0.8138 carries; vertical drag is 0.35 1/s."""
+    motion = hovering()
+    motion.roll, motion.pitch, motion.velocity_up = math.radians(20), math.radians(-30), 2.0
+    lift = motion._lift(DynamicsInput(vertical=ModelVertical.THRUST, up=67.5))
+    assert lift == pytest.approx(1.5 * 0.81380 * GRAVITY - 0.35 * 2.0, rel=1e-4)
+    assert motion._lift(DynamicsInput(up=2.0)) == GRAVITY
+    assert motion.thrust == pytest.approx(45.0 / 0.81380, rel=1e-4)
+
+
+@pytest.mark.parametrize(("steep", "tilt"), [(False, 25.0), (True, 35.0)])
+def test_a_mission_may_tilt_it_further_than_the_cruise(steep: bool, tilt: float) -> None:
+    motion = hovering(STILL)
+    run(motion, DynamicsInput(ModelHorizontal.VELOCITY, 60.0, 0.0, steep=steep), 1.0)
+    assert math.degrees(motion.pitch) == pytest.approx(-tilt, abs=0.1)
+
+
+def test_braking_aims_for_where_it_will_stand() -> None:
+    motion = hovering()
+    motion.velocity_north, motion.velocity_east = 0.16, -0.08
+    motion.step(DynamicsInput())
+    assert (motion._hold_north, motion._hold_east) == pytest.approx((0.1, -0.05))
+
+
 def test_tilt_stays_below_the_cruise_tilt_in_velocity_control() -> None:
     motion = hovering()
     guidance = DynamicsInput(ModelHorizontal.VELOCITY, 10.0, 10.0)
@@ -443,6 +467,9 @@ def test_wind_carries_along_what_falls() -> None:
     share = 1.0 - math.exp(-0.5)  # of the wind, after a second
     assert motion.velocity_north == pytest.approx(5.0 * share, rel=0.01)
     assert motion.velocity_east == pytest.approx(-3.0 * share, rel=0.01)
+    assert motion.north == pytest.approx(5.0 * (1.0 - share / 0.5), rel=0.02)
+    assert motion.east == pytest.approx(-3.0 * (1.0 - share / 0.5), rel=0.02)
+    assert motion.acceleration_up == -GRAVITY
 
 
 def test_equal_inputs_give_equal_flights() -> None:
@@ -474,11 +501,12 @@ def test_settings_may_name_another_airframe() -> None:
 
 
 def test_hover_thrust_rises_evenly_as_the_battery_empties() -> None:
-    """38.2 % when full and 44 % when empty: 41.1 % at half."""
+    """38.2 % when full and 44 % when empty: 41.1 % at half; at rest it loses 3 % of a hover."""
     flight = VirtualAircraft(firmware="3.1").vehicle.flight
     flight.battery_percent = 50.0
     flight.step(0.01, Device.ONBOARD, PilotRemote())
     assert flight.dynamics.hover_thrust == pytest.approx(41.1, abs=0.001)
+    assert flight.battery_percent == pytest.approx(50.0 - 0.03 * 0.01 * 100.0 / (12.7 * 60.0))
 
 
 def test_a_file_names_numbers_of_an_airframe_and_its_base(tmp_path: Path) -> None:

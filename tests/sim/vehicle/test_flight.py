@@ -24,6 +24,7 @@ from m100link.protocol import (
 from m100link.protocol.records import RcMode
 from m100link.sim import Airframe
 from m100link.sim.vehicle.dynamics import GRAVITY, STEP_S
+from m100link.sim.vehicle.flight import Maneuver
 from tests.sim.host import Host, aircraft
 
 VECTORS = json.loads((Path(__file__).parents[2] / "vectors" / "movement.json").read_text())
@@ -557,3 +558,32 @@ def test_tilt_of_ten_degrees_accelerates_by_g_tan_ten() -> None:
     assert packet.acceleration.east_m_s2 + drag == pytest.approx(
         GRAVITY * math.tan(math.radians(10)), rel=0.02
     )
+
+
+def test_an_offset_along_the_nose_is_a_place_on_the_ground() -> None:
+    flight = airborne(heading_deg=30.0).vehicle.flight
+    motion = flight.dynamics
+    motion.north, motion.east = 100.0, -50.0
+    forward = Setpoint.position_offset(forward=3.0, right=-2.0, up=0.0, yaw_rate_deg_s=0.0)
+    guidance = flight._guidance_for(forward)
+    cosine, sine = math.cos(motion.yaw), math.sin(motion.yaw)
+    there = (100.0 + 3.0 * cosine + 2.0 * sine, -50.0 + 3.0 * sine - 2.0 * cosine)
+    assert (guidance.a, guidance.b) == pytest.approx(there)
+
+
+@pytest.mark.parametrize(("metres", "speed"), [(50.0, 8.0), (10.0, 6.0)])
+def test_it_flies_home_at_8_m_s_and_slower_near_it(metres: float, speed: float) -> None:
+    """On a bearing of -53.13 degrees, once it is as high as 0.3 m below the go-home height."""
+    flight = airborne(height=19.65).vehicle.flight
+    motion = flight.dynamics
+    motion.north, motion.east, flight.home = 7.0, 9.0, (7.0 + 0.6 * metres, 9.0 - 0.8 * metres)
+    assert flight.distance_home == pytest.approx(metres)
+    flight._begin(Maneuver.CLIMB_HOME)
+    for height, then in ((19.65, Maneuver.CLIMB_HOME), (19.75, Maneuver.FLY_HOME)):
+        motion.height = height
+        guidance = flight._homewards()
+        assert (guidance.a, guidance.b, guidance.up) == pytest.approx((0.0, 0.0, 20.0))
+        assert flight.maneuver is then
+    guidance = flight._homewards()
+    assert (guidance.a, guidance.b) == pytest.approx((0.6 * speed, -0.8 * speed))
+    assert math.degrees(guidance.yaw) == pytest.approx(-53.130, abs=0.001)

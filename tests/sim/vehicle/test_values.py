@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from random import Random
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
@@ -380,6 +380,16 @@ def test_inertial_noise_is_that_of_the_airframe_on_each_axis(scale: float) -> No
     felt = zip(read(vehicle, "acceleration"), read(exact, "acceleration"), strict=True)
     wanted = [scale * 0.05 * one / 9.80665 for one in (1.0, -2.0, 3.0)]
     assert [a - b for a, b in felt] == pytest.approx(wanted)
+
+
+def test_a_quaternion_has_the_sign_of_the_one_before() -> None:
+    vehicle = posed()
+    shown = read(vehicle, "quaternion")
+    for axis in range(4):
+        vehicle.sensors._quaternion = cast(Any, [-shown[axis] * (axis == k) for k in range(4)])
+        assert read(vehicle, "quaternion") == tuple(-one for one in shown)
+        vehicle.sensors._quaternion = cast(Any, [shown[axis] * (axis == k) for k in range(4)])
+        assert read(vehicle, "quaternion") == shown
 
 
 def test_height_counts_from_where_it_stands() -> None:

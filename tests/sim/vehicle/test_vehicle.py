@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from random import Random
 from types import SimpleNamespace
 from typing import Any, cast
@@ -106,6 +107,33 @@ def test_settings_of_the_assistant_take_effect_at_once() -> None:
     vehicle.configure(AssistantSettings(api_control_enabled=False))
     assert vehicle.authority.device is Device.RC
     assert vehicle.authority_losses == 1
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"rates_hz": {"wings": 1}}, "no telemetry item is called 'wings'"),
+        ({"rates_hz": {"velocity": 3}}, "velocity cannot be sent at 3 Hz"),
+        ({"baud_rate": 0}, "0 baud carries nothing"),
+        ({"acceleration": "felt"}, "not 'felt'"),
+    ],
+)
+def test_settings_that_no_assistant_has_are_refused(settings: Any, words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        AssistantSettings(**settings)
+
+
+def test_gusts_are_drawn_every_50_ms_and_remembered_for_two_seconds() -> None:
+    vehicle = make(settings=AircraftSettings(gusts=2.0, wind_north=3.0, wind_east=-1.0))
+    draws = iter((1.0, -0.5, 0.0, 0.0))
+    vehicle._random = cast(Any, SimpleNamespace(gauss=lambda mean, deviation: next(draws)))
+    keep = math.exp(-0.05 / 2.0)
+    kick = 2.0 * math.sqrt(1.0 - keep**2)
+    for share in (1.0, keep):
+        vehicle._blow()
+        motion = vehicle.flight.dynamics
+        wind = (3.0 + share * kick, -1.0 - 0.5 * share * kick)
+        assert (motion.wind_north, motion.wind_east) == pytest.approx(wind)
 
 
 def test_gps_comes_after_a_cold_start_unless_set_by_hand() -> None:

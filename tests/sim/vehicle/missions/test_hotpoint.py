@@ -129,12 +129,12 @@ def test_distances_count_on_both_axes() -> None:
     """56.6 m from home to the centre, and 113 m from the aircraft; 21.2 km and 56.6 m."""
     here, home = LocalPlace(-50.0, 50.0, 10.0), LocalPlace(-10.0, 10.0, 0.0)
     circle = hotpoint(30.0, -30.0, radius=5.0)
-    for limits, code in (
-        ({}, Code.SUCCESS),
-        ({"radius_limit": 60.0}, Code.TOO_FAR_FROM_HOME),
-        ({"farthest_start": 100.0}, Code.TOO_FAR_AWAY),
+    for settings, code in (
+        (MissionSettings(), Code.SUCCESS),
+        (MissionSettings(radius_limit=60.0), Code.TOO_FAR_FROM_HOME),
+        (MissionSettings(farthest_start=100.0), Code.TOO_FAR_AWAY),
     ):
-        site = Site(22.5431, 113.9589, 120.0, MissionSettings(**limits))
+        site = Site(22.5431, 113.9589, 120.0, settings)
         assert hotpoint_code(circle, site, here, home) == code
     site = Site(22.5431, 113.9589, 120.0, MissionSettings(radius_limit=50.0))
     target = FollowStart(*radians_at(12_000.0, -12_000.0))
