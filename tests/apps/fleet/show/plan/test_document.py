@@ -414,6 +414,45 @@ def test_the_distance_is_drawn_from_its_first_to_its_last_second_and_upwards() -
     assert top < curve[0][1] < bottom
 
 
+@pytest.mark.parametrize(("begins", "apart", "anchor"), [(5, 9, "start"), (35, 3, "end")])
+def test_words_stand_beside_what_they_name(begins: float, apart: float, anchor: str) -> None:
+    """Up to 14 pixels from that; the map is above the distances."""
+    times = 0, begins, begins + 20, 60
+    first = track(
+        "a1", *((at, north, 0, 5) for at, north in zip(times, (0, 0, 30, 30), strict=True))
+    )
+    ways = zip(times, (30, 30, 0, 0), strict=True)
+    second = track("a2", *((at, north, apart, 5) for at, north in ways))
+    root = drawn(show_of(first, second))
+    found = {one.text or "": one for one in root.iter(f"{SVG}text")}
+    placed = {
+        words: (float(one.get("x", "")), float(one.get("y", ""))) for words, one in found.items()
+    }
+    axes, needed, _ = map(spots_of, root.findall(f"{SVG}polyline"))
+    (left, top), (_, bottom), (right, _) = axes
+    starts = [spots_of(line)[0] for line in root.iterfind(f"{SVG}g/{SVG}polyline")]
+    [nearest] = root.findall(f"{SVG}circle")
+    near = float(nearest.get("cx", "")), float(nearest.get("cy", ""))
+    [said] = [words for words in placed if words.startswith("a1 and a2: ")]
+    [limit] = [words for words in placed if words.endswith(" needed")]
+    [most] = [words for words in placed if words.isdecimal() and words != "0"]
+    assert found[said].get("text-anchor") == anchor
+    assert placed[said][1] < bottom
+    for words, (x, y), right_of, below in (
+        ("a1", starts[0], 1, -1),
+        ("a2", starts[1], 1, -1),
+        ("least distance of any two, m", (0.0, top), 1, -1),
+        (most, (left, top), -1, 1),
+        ("0", (left, bottom), -1, 1),
+        ("60 s", (right, bottom), -1, 1),
+        (limit, needed[1], -1, -1),
+        (said, near, 1 if anchor == "start" else -1, 1),
+    ):
+        assert 0 <= (placed[words][0] - x) * right_of <= 14, words
+        assert 0 <= (placed[words][1] - y) * below <= 14, words
+    assert top > 420, "the height of the map"
+
+
 # -- only those that are near are compared: the findings are those of every two --------------------
 
 
