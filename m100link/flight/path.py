@@ -23,7 +23,7 @@ _MAX_TURN_RAD_S = 0.5  # of the velocity, on a rounded corner
 _CORNER_M_S = 0.4  # round a corner that is not rounded
 _REACHED_M = 0.3  # from such a corner, when the next leg begins
 _CLIMB_M_S = 2.0  # a steeper leg is flown more slowly
-_LOW_OR_HIGH_M = 1.0  # so far from the height of the path it slows down, and at twice that it waits
+_WAITS_M = 2.0  # from the height of the path; it slows down from a metre less on
 _TOO_SHORT_M = 0.05  # two points of a path so near to each other are one
 _SHARP_M = 0.5  # a smaller radius is a corner
 
@@ -183,7 +183,8 @@ class Path:
         to_centre = heading + sense * math.pi / 2
         centre = begin[0] + radius * math.cos(to_centre), begin[1] + radius * math.sin(to_centre)
         length = radius * abs(turn)
-        bend = _Bend(centre, radius, to_centre + math.pi, sense, length, self.length)
+        start = heading - sense * math.pi / 2  # from the centre, the other way
+        bend = _Bend(centre, radius, start, sense, length, self.length)
         self._pieces.append(bend)
         slow = min(math.sqrt(_CORNER_ACCELERATION * radius), _MAX_TURN_RAD_S * radius)
         self._limits.append((self.length, self.length + length, slow))
@@ -247,7 +248,7 @@ class Path:
                 wanted = min(wanted, limit + _BRAKING * max(0.0, begin - at))
         # It does not leave a place below or above the path that somebody laid over an obstacle.
         off = abs(self._height(at) - height)
-        wanted *= max(0.0, min(1.0, 2.0 - off / _LOW_OR_HIGH_M))
+        wanted *= max(0.0, min(1.0, _WAITS_M - off))
         if to_go < 0:
             wanted = _BRAKING * to_go
         self._asked = min(wanted, max(0.0, self._asked) + _ACCELERATION * elapsed)

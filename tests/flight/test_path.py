@@ -271,6 +271,7 @@ def test_beside_the_path_it_is_led_back_and_what_drifts_is_damped(
 def test_far_beside_a_fast_path_coming_back_goes_before_being_fast() -> None:
     steering = asked_at(STRAIGHT, (50.0, 50.0), speed=9.0)
     assert (steering.north, steering.east) == pytest.approx((6.0, -8.0), abs=1e-4)
+    assert math.hypot(steering.north, steering.east) <= 10.0, "more is no setpoint"
 
 
 def test_it_becomes_faster_by_a_metre_per_second_each_second() -> None:
@@ -327,6 +328,25 @@ def test_a_rounded_corner_is_as_slow_as_turn_rate_and_tilt_want_it(
     assert ahead == pytest.approx(slow)
     # Turned inwards by the lag of the velocity times the acceleration towards the centre.
     assert inwards == pytest.approx(0.65 * slow * slow / radius)
+
+
+@pytest.mark.parametrize("side", [1, -1], ids=["right", "left"])
+@pytest.mark.parametrize(
+    ("turn_deg", "from_corner"),
+    # Rounded by 2 m, that is 2 (1 / cos(turn / 2) - 1); a shallower one as a right angle is.
+    [(30, 2 * math.sqrt(2) - 2), (60, 2 * math.sqrt(2) - 2), (90, 2 * math.sqrt(2) - 2), (120, 2)],
+)
+def test_a_rounded_corner_is_passed_at_most_as_far_as_a_right_angle_or_its_radius_want(
+    turn_deg: float, from_corner: float, side: int
+) -> None:
+    turn = side * math.radians(turn_deg)
+    end = 20 + 20 * math.cos(turn), 20 * math.sin(turn)
+    points: list[Point] = [(0, 0, 5), (20, 0, 5), (*end, 5)]
+    inwards = turn / 2 + side * math.pi / 2
+    place = 20 + from_corner * math.cos(inwards), from_corner * math.sin(inwards)
+    steering = asked_at(points, place, radius=2.0)
+    assert steering.off_m == pytest.approx(0.0, abs=1e-9)
+    assert steering.ahead_deg == pytest.approx(side * turn_deg / 2)
 
 
 @pytest.mark.parametrize("outwards", [1.0, -1.0])
@@ -387,6 +407,18 @@ def test_a_steep_leg_is_as_slow_as_two_metres_per_second_upwards_want_it(
 ) -> None:
     points: list[Point] = [(0, 0, 5), (30, 0, high), (100, 0, high)]
     assert asked_at(points, (0.0, 0.0)).north == pytest.approx(north)
+
+
+@pytest.mark.parametrize(
+    ("at", "height", "north"),
+    [(20.0, 5.0, 5.0), (50.0, 15.0, 2.0), (85.0, 32.5, 5.0), (101.0, 30.0, -0.4)],
+)
+def test_each_leg_rises_from_where_it_begins_and_the_last_height_is_kept(
+    at: float, height: float, north: float
+) -> None:
+    points: list[Point] = [(0, 0, 5), (40, 0, 5), (70, 0, 35), (100, 0, 30)]
+    steering = asked_at(points, (at, 0.0), (0.0, 0.0), height=height)
+    assert (steering.height, steering.north) == pytest.approx((height, north))
 
 
 @pytest.mark.parametrize("side", [1, -1], ids=["above", "below"])
