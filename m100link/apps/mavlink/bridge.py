@@ -360,9 +360,9 @@ def read_address(url: str) -> Address:
     try:
         # A number is looked up nowhere, and a name once.
         found = socket.getaddrinfo(host, port, socket.AF_INET, socket.SOCK_DGRAM)[0][4][0]
-    except OSError as error:
+    except (OSError, UnicodeError) as error:  # the latter of a name like "a..b"
         raise UsageError(
-            f"{host} has no address: {error.strerror or error}",
+            f"{host} has no address: {error}",
             remedy="check the name, or give numbers: udp://127.0.0.1:14550",
         ) from None
     return str(found), port

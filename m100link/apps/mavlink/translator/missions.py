@@ -71,10 +71,9 @@ class MissionProtocol:
         # they are refused; empty where they are not.
         self.on_upload: Callable[[Peer, int, Sequence[MavlinkMessage], str], None] = ignore
         self.fence = Fence()  # what was uploaded last
-        self.current = 0  # number of the item that is flown to, or would be
         self.edition = 0  # counts what was uploaded, cleared, or set to begin elsewhere
-        self._reached = -1
-        self._sent_at = self.due_at = float("-inf")  # MISSION_CURRENT; the next of :meth:`due`
+        self.due_at = float("-inf")  # the next of :meth:`due`
+        self.restart()
 
     @property
     def items(self) -> tuple[MavlinkMessage, ...]:
@@ -217,8 +216,8 @@ class MissionProtocol:
     # -- progress --------------------------------------------------------------------------------
 
     def restart(self) -> None:
-        self.current, self._reached = 0, -1
-        self._sent_at = self.due_at = float("-inf")
+        self.current, self._reached = 0, -1  # item that is flown to, or would be; and the last one
+        self._sent_at = self.due_at = float("-inf")  # MISSION_CURRENT
 
     def begin_at(self, number: int) -> None:
         """Somebody wants it flown from that item on."""

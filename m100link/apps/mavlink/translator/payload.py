@@ -104,7 +104,7 @@ class Payload:
         self._photos: dict[Peer, tuple[float, float, MavResult | None]] = {}
         self._aim: Aim | None = None
         self._asked: Asked | None = None  # the command that waits for the outcome of that aim
-        self._aims_at, self._is_aiming = -math.inf, False
+        self._aims_at, self._is_aiming = 0.0, False
         self._sent: GimbalAngle | None = None  # the last angle that was sent for that aim
         self.handlers: dict[str, Callable[[MavlinkMessage, Peer, float], None]] = {
             "GIMBAL_MANAGER_SET_ATTITUDE": self._streamed,

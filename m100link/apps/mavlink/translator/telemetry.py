@@ -377,8 +377,6 @@ STREAMS: Mapping[str, Stream] = {
 """By the name of the message."""
 
 
-if undefined := STREAMS.keys() - codec.LAYOUTS.keys():
-    raise LookupError(f"DEFINITIONS has no row for {', '.join(sorted(undefined))}")
 NUMBERS = {
     codec.LAYOUTS[name].number: name for name in STREAMS
 }  # names by the number of the message

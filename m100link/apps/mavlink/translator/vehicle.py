@@ -137,7 +137,7 @@ class MavlinkVehicle:
         # Peers that wait for the answer to arming, and when each last heard that it takes time.
         self._arming: dict[Peer, float] = {}
         self._in_force: dict[int, str] = {}  # uploads, for the flight log
-        self._was_connected, self._beaten_at, self._camera_beaten_at = True, -math.inf, -math.inf
+        self._was_connected, self._beaten_at, self._camera_beaten_at = True, 0.0, -math.inf
         self._beaten: tuple[object, ...] = ()
         self._handlers = self._by_name()
 

@@ -99,6 +99,10 @@ def test_reading_tells_what_it_cost() -> None:
     broken = MessageReader(bytes(500) + valid[:-1] + bytes([valid[-1] ^ 1]))
     assert list(broken) == []
     assert broken.checked == len(valid)
+    old = of_the_first_version("PING")
+    broken = MessageReader(bytes(500) + old[:-1] + bytes([old[-1] ^ 1]))
+    assert list(broken) == []
+    assert broken.checked == len(old)
     foreign = signed(PacketSigner(bytes(32)), 1)
     forged = MessageReader(bytes(500) + foreign, signer=PacketSigner(KEY))
     assert list(forged) == []

@@ -30,7 +30,7 @@ from m100link.apps.mavlink.translator.payload import Payload
 from m100link.apps.mavlink.translator.telemetry import Rates
 from m100link.apps.mavlink.translator.vehicle_state import MODES, Mode, VehiclePhase
 from m100link.geodesy import LocalFrame
-from m100link.protocol.records import Position
+from m100link.protocol.records import FlightStatus, Position
 from tests.apps.mavlink.conftest import Ground, Rig, world_of
 from tests.apps.mavlink.translator.test_missions import Exchange, waypoint
 from tests.known import Known, position
@@ -246,6 +246,16 @@ def test_the_present_height_of_an_aircraft_that_tells_none_is_not_flown_to() -> 
     assert asked.ask(to_a_place) is MavResult.DENIED
     assert asked.requests == []
     assert "the height is unknown" in asked.texts[-1]
+    to_a_place = whole(REPOSITION, GLOBAL, X, Y, 95.31, -1)
+    assert asked.ask(to_a_place) is MavResult.DENIED
+    assert "an altitude in frame 0 cannot be flown to" in asked.texts[-1]
+    for altitude in (95.31, 75.0):  # the latter is below the ground, where that is at 87.65 m
+        up = long(TAKE_OFF, NAN, NAN, NAN, NAN, NAN, NAN, altitude)
+        assert asked.ask(up) is MavResult.DENIED
+        assert "the altitude of the ground is unknown" in asked.texts[-1]
+    standing = Asked(Known(FlightStatus(1)))
+    assert standing.ask(up) is MavResult.DENIED
+    assert "take-off to -12.7 m above the ground" in standing.texts[-1]
     known.state = replace(known.state, firmware="3.1")
     assert asked.ask(long(195)) is MavResult.DENIED
     assert "gimbal: the place is missing" in asked.texts[-1]

@@ -324,6 +324,7 @@ def test_a_wait_is_made_of_those_that_the_wire_can_say(wait: float, parts: int) 
         ([planned(4), planned(7, wait=9_000.0)], None, "item 7: it hovers for 9000 s"),
         ([planned(4), planned(7, height=5_000.0)], None, "item 7"),
         ([planned(4)], None, ""),
+        ([planned(4), RoutePoint(7, FlyAround(1.0, 2.0, 8.0, 4.0))], None, "7: it is a circle"),
     ],
 )
 def test_what_the_aircraft_cannot_fly_is_reported_by_its_item(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from random import Random
 from typing import Any
 
 import pytest
@@ -13,9 +14,9 @@ from m100link.apps.agent.messages import Event, EventTopic
 from m100link.apps.agent.orders import FlyAround, FlyTo, GuidedOrder
 from m100link.apps.mavlink.order_executor import MissionFlights
 from m100link.apps.mavlink.translator.codec import MavlinkMessage, Peer
-from m100link.apps.mavlink.translator.missions import MissionProtocol, read_fence
+from m100link.apps.mavlink.translator.missions import MissionProtocol, _cross, read_fence
 from m100link.apps.mavlink.translator.orders import FlightSequence, HoldPosition, ModeRequest
-from m100link.apps.mavlink.translator.payload import Aim
+from m100link.apps.mavlink.translator.payload import Aim, _aim_of
 from m100link.apps.mavlink.translator.vehicle import MavlinkVehicle
 from m100link.apps.mavlink.translator.vehicle_state import (
     ARM_VERDICTS,
@@ -35,7 +36,7 @@ from m100link.geodesy import LocalFrame
 from m100link.protocol.records import Attitude, FlightStatus, Position, Velocity
 from m100link.protocol.setpoint import Setpoint
 from tests.apps.mavlink.conftest import session_of
-from tests.known import LATITUDE, LONGITUDE, Known, position
+from tests.known import LATITUDE, LONGITUDE, Known, position, quaternion
 
 PEER, OTHER = Peer(("127.0.0.1", 1), 245, 190), Peer(("127.0.0.1", 2), 246, 191)
 MISSION, FENCE, RALLY, ALL = 0, 1, 2, 255
@@ -582,6 +583,12 @@ def test_a_heartbeat_comes_once_a_second_and_when_it_changes() -> None:
     assert passes(one, 12.1) == [("CURRENT_MODE", 5), ("HEARTBEAT", 5)]
     known.newest_age = 2.0
     assert passes(one, 14.0) == [], "an aircraft that nobody hears is silent"
+    one, beats = vehicle(firmware="3.1"), []
+    for at in (10.0, 10.5, 10.99, 11.0):
+        one.outbox.clear()
+        one.advance(at, {}, lambda *_: False)
+        beats.append([m.name for m, _ in one.outbox if m.component == 100].count("HEARTBEAT"))
+    assert beats == [1, 0, 0, 1], "that of the camera"
 
 
 def test_who_arms_hears_every_third_of_a_second_that_it_takes_time() -> None:
@@ -757,10 +764,31 @@ def test_a_gimbal_turns_by_60_degrees_a_second_and_not_by_a_heading_that_nobody_
         turn = one._payload._angles_of(Aim(PEER, -60.0, 100.0, math.nan, False, *rates))
         assert turn is not None
         assert turn.duration_s == pytest.approx(seconds)
+    # 14.14 m away to the north-east, and as much below.
+    below = 12.34 - 10.0 * math.sqrt(2.0)
+    there = one._payload._direction((*HERE.to_geodetic(10.0, 10.0), below))
+    assert there == pytest.approx((-45.0, 45.0), abs=0.01)
     known: Any = one.world.known
     del known.items[Attitude]
     with pytest.raises(UsageError, match="heading of the aircraft is unknown"):
         one._payload._heading()
+
+
+def test_the_attitude_of_a_gimbal_is_a_quaternion_of_about_length_1_and_finite_numbers() -> None:
+    def aim(size: float, rate: float = 0.25) -> Aim:
+        q = tuple(size * one for one in quaternion(10.0, -20.0, 100.0))
+        turn = {"angular_velocity_x": 0.0, "angular_velocity_y": rate, "angular_velocity_z": 0.5}
+        return _aim_of(MavlinkMessage("GIMBAL_MANAGER_SET_ATTITUDE", {"q": q} | turn), PEER)
+
+    found = aim(1.05)
+    assert found.angles == pytest.approx((100.0, 10.0, -20.0))
+    rates_deg = math.degrees(0.25), math.degrees(0.5)
+    assert (found.pitch_deg_s, found.yaw_deg_s) == pytest.approx(rates_deg)
+    for size in (0.89, 1.11):
+        with pytest.raises(UsageError, match="not of length 1"):
+            aim(size)
+    with pytest.raises(UsageError, match="not finite"):
+        aim(1.0, math.inf)
 
 
 @pytest.mark.parametrize(("beside", "is_entered"), [(9.9, True), (14.0, False)])
@@ -771,6 +799,9 @@ def test_ten_kilometres_straight_do_not_pass_below_a_circle(
     [area] = read_fence([circle(10.0, 0.0, beside, 5004)]).areas
     ends = HERE.to_geodetic(-5000.0, 0.0), HERE.to_geodetic(5000.0, 0.0)
     assert area.is_entered(*ends) is is_entered
+    [area] = read_fence([circle(10.0, 50.0, 0.0, 5004)]).areas
+    for north in (39.5, 40.5):
+        assert area.is_entered((LATITUDE, LONGITUDE), HERE.to_geodetic(north, 0.0)) is (north > 40)
 
 
 def test_from_outside_a_flight_may_lead_back_and_never_farther_away() -> None:
@@ -836,3 +867,16 @@ def test_a_way_that_touches_a_corner_enters_the_area(east: float, is_entered: bo
     assert area.is_entered(*way) is is_entered
     assert not area.is_entered(way[0], way[0])
     assert not area.is_entered(way[0], (LATITUDE - 1e-5, LONGITUDE)), "it ends before it"
+
+
+def test_ways_cross_an_edge_where_both_go_through_the_same_place() -> None:
+    """As complex numbers: a + t (b - a) = c + u (d - c), with t and u from 0 to 1."""
+    random = Random(7)
+    for _ in range(300):
+        a, b, c, d = (complex(random.uniform(-9, 9), random.uniform(-5, 9)) for _ in range(4))
+        way, edge, between = b - a, d - c, c - a
+        area = (way.conjugate() * edge).imag
+        t, u = ((between.conjugate() * one).imag / area for one in (edge, way))
+        ends = ((one.real, one.imag) for one in (a, b, c, d))
+        assert _cross(*ends) is (0.0 <= t <= 1.0 and 0.0 <= u <= 1.0), (a, b, c, d)
+    assert _cross((0.0, 0.0), (2.0, 0.0), (1.0, 1.0), (1.0, 0.0)), "it touches"
