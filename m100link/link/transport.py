@@ -304,9 +304,9 @@ async def _open_tcp(address: ConnectionString, protocol: asyncio.Protocol) -> as
             transport, _ = await loop.create_connection(
                 lambda: protocol, address.target, address.number or 0
             )
-    except socket.gaierror as error:
+    except (socket.gaierror, UnicodeError) as error:  # the latter of a name like "a..b"
         raise PortFailed(
-            f"no host called {address.target} is known: {error.strerror}",
+            f"no host called {address.target} is known: {error.args[-1]}",
             cause="a typing error, or no network that knows names",
             remedy="check the name, or give the address: tcp://192.168.1.5:7000",
         ) from error

@@ -251,6 +251,9 @@ async def test_a_host_that_nobody_knows_is_not_one_that_does_not_answer(
     with pytest.raises(PortFailed, match="no host called ground-sation is known") as caught:
         await open_link("tcp://ground-sation:7000")
     assert "tcp://192.168.1.5:7000" in caught.value.remedy
+    monkeypatch.undo()
+    with pytest.raises(PortFailed, match=r"no host called no\.\.name is known"):
+        await open_link("tcp://no..name:7000")
 
 
 @pytest.fixture

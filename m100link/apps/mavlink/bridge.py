@@ -362,7 +362,7 @@ def read_address(url: str) -> Address:
         found = socket.getaddrinfo(host, port, socket.AF_INET, socket.SOCK_DGRAM)[0][4][0]
     except (OSError, UnicodeError) as error:  # the latter of a name like "a..b"
         raise UsageError(
-            f"{host} has no address: {error}",
+            f"{host} has no address: {error.args[-1]}",
             remedy="check the name, or give numbers: udp://127.0.0.1:14550",
         ) from None
     return str(found), port
