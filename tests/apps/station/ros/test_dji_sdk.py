@@ -96,6 +96,11 @@ async def test_local_position_is_east_north_up_of_its_reference(rig: Rig) -> Non
     rig.aircraft.vehicle.flight.dynamics.place(3.0, -2.0, 9.0)
     point = (await newest(rig, client, "/dji_sdk/local_position"))["point"]
     assert [point[axis] for axis in "xyz"] == pytest.approx([-2.0, 3.0, 4.0], abs=0.05)
+    await rig.open("other")
+    client.call("/dji_sdk/set_local_pos_ref")
+    await anyio.sleep(0.1)
+    refused = client.answers()[-1]
+    assert (refused["result"], "the origin of its flight stays" in str(refused)) == (False, True)
 
 
 async def test_services_activate_obtain_fly_and_release(rig: Rig) -> None:
