@@ -36,6 +36,7 @@ from m100link.protocol import (
 )
 from m100link.protocol.items import BY_RECORD, ITEMS, RecordViews
 from m100link.protocol.packet import _plan, fitting_profiles, telemetry_size
+from m100link.protocol.records import in_body, quaternion
 from tests.support import load_vectors
 
 VECTORS = load_vectors("telemetry")
@@ -292,6 +293,24 @@ def test_ros_sees_the_nose_where_the_aircraft_has_it(roll: float, pitch: float, 
         north, east, down = _rotate(attitude.xyzw, ned_frd)
         seen = _rotate(attitude.enu_flu_xyzw, enu_flu)
         assert seen == pytest.approx((east, north, -down), abs=1e-6)
+
+
+@pytest.mark.parametrize("angles", [(10.0, -20.0, 170.0), (-35.0, 50.0, -75.0)])
+def test_a_vector_turns_into_the_body_by_yaw_then_pitch_then_roll(
+    angles: tuple[float, float, float],
+) -> None:
+    roll, pitch, yaw = map(math.radians, angles)
+    north, east, down = 3.0, -5.0, 7.0
+    x = north * math.cos(yaw) + east * math.sin(yaw)
+    y = east * math.cos(yaw) - north * math.sin(yaw)
+    x, z = (
+        x * math.cos(pitch) - down * math.sin(pitch),
+        x * math.sin(pitch) + down * math.cos(pitch),
+    )
+    y, z = y * math.cos(roll) + z * math.sin(roll), z * math.cos(roll) - y * math.sin(roll)
+    attitude = Attitude(*quaternion(roll, pitch, yaw))
+    assert in_body(attitude.xyzw, (north, east, down)) == pytest.approx((x, y, z))
+    assert (attitude.roll_deg, attitude.pitch_deg, attitude.yaw_deg) == pytest.approx(angles)
 
 
 def test_the_scalar_stands_first_on_the_wire_and_last_for_ros() -> None:
