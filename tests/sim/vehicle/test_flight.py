@@ -587,3 +587,16 @@ def test_it_flies_home_at_8_m_s_and_slower_near_it(metres: float, speed: float) 
     guidance = flight._homewards()
     assert (guidance.a, guidance.b) == pytest.approx((0.6 * speed, -0.8 * speed))
     assert math.degrees(guidance.yaw) == pytest.approx(-53.130, abs=0.001)
+
+
+def test_control_that_comes_back_finds_no_setpoint_of_before() -> None:
+    program = airborne()
+    flight, remote = program.vehicle.flight, program.vehicle.remote
+    assert flight.move(NORTH)
+    flight.now += 0.2
+    assert flight._orders(Device.ONBOARD, remote).a == 3.0
+    flight.interrupt()
+    assert flight._orders(Device.ONBOARD, remote) is flight._hover
+    unused = Host(firmware="3.1").vehicle.flight
+    unused.gps_health = 0
+    assert unused._orders(Device.ONBOARD, remote) is unused._level
