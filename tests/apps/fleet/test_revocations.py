@@ -494,7 +494,8 @@ async def test_a_list_is_brought_four_times_at_most(
         tokens=AsyncMock(return_value=["m100-live/field/kite/beef"]),
         ask=AsyncMock(return_value=[]),
     )
-    believed = MagicMock(side_effect=replies)
+    remaining = iter(replies)
+    believed = MagicMock(side_effect=lambda *_: next(remaining))  # an error is given, not raised
     monkeypatch.setattr(revocations, "believed", believed)
     clock = asyncio.get_running_loop().time
     began = clock()

@@ -450,7 +450,8 @@ def test_words_stand_beside_what_they_name(begins: float, apart: float, anchor: 
     ):
         assert 0 <= (placed[words][0] - x) * right_of <= 14, words
         assert 0 <= (placed[words][1] - y) * below <= 14, words
-    assert top > 420, "the height of the map"
+    [bar] = root.findall(f"{SVG}path")
+    assert float(bar.get("d", "").split("v")[0].split()[1]) + 4 < 420 < top, "the map has that"
 
 
 # -- only those that are near are compared: the findings are those of every two --------------------
@@ -568,7 +569,7 @@ def block(kind: int, body: bytes) -> bytes:
 
 
 def skyb(version: int = 1, track: bytes = TRACK) -> bytes:
-    blocks = block(2, b"lights") + block(1, track) + block(3, b"a comment")
+    blocks = block(2, b"lights!") + block(1, track) + block(3, b"a comment")
     if version == 1:
         return b"skyb\x01" + blocks
     # CRC-32 of ArduPilot: begins with 0 and is not inverted; over zeros in its place.

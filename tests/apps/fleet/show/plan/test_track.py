@@ -78,6 +78,8 @@ def test_the_speed_that_it_says_is_nearly_what_it_flies() -> None:
     assert 3.0 <= across < 3.02
     assert upright == 0.0
     assert found.legs[0].hardest_m_s2 == pytest.approx(6 * 20 / 100)
+    faster = track("a1", (0, 0, 0, 5), (10, 10, 0, 5), (20, 60, 0, 5), (30, 70, 0, 5))
+    assert faster.legs[0].fastest[0] >= faster.moment(10.0).velocity[0] > 1.5, "to the very end"
 
 
 # -- bytes ----------------------------------------------------------------------------------------
@@ -90,6 +92,11 @@ def test_its_bytes_are_as_the_manual_says() -> None:
     by_hand += struct.pack(">8d", 0, 0.0, 2, 5, 10, 10, 0, 6)
     assert found.to_bytes() == by_hand
     assert found.digest == hashlib.sha256(by_hand).hexdigest()
+    zeros = [
+        TimedTrack("a1", (zero, zero), found.points, ground_m=zero, heading_deg=zero).to_bytes()
+        for zero in (0.0, -0.0)
+    ]
+    assert zeros[0] == zeros[1], "zero is positive"
     without = track("a1", (0, 0, 2, 5), (10, 10, 0, 6)).to_bytes()
     assert without[17 + 2 + 2 + 32 :][:9] == bytes(9)
 
