@@ -256,19 +256,16 @@ class TimedTrack:
             at = len(_MAGIC) + 2
             at += (length := int.from_bytes(data[at - 2 : at], "big"))
             name = data[at - length : at].decode()
-            latitude, longitude, ground, tube, has_heading, heading, count = _HEAD.unpack_from(
-                data, at
-            )
-            at += _HEAD.size
-            if len(data) != at + count * _POINT.size or has_heading > 1:
-                raise ValueError(f"{len(data)} bytes do not hold {count} points")
-            points = tuple(TimedPoint(*values) for values in _POINT.iter_unpack(data[at:]))
+            *place, ground, tube, has_heading, heading, _ = _HEAD.unpack_from(data, at)
+            values = _POINT.iter_unpack(data[at + _HEAD.size :])
+            points = tuple(TimedPoint(*one) for one in values)
         except (ValueError, struct.error) as error:
             raise BadShow(
                 f"the bytes of a track cannot be read: {error}",
                 cause="another version wrote them, or they were damaged on their way",
                 remedy="upload the track again, with the same release as the agent's",
             ) from error
+        latitude, longitude = place
         made = cls(
             name, (latitude, longitude), points, ground, heading if has_heading else None, tube
         )

@@ -122,6 +122,8 @@ def test_no_change_of_the_bytes_is_read_as_the_same_track() -> None:
         except BadShow:
             continue
         assert found.digest != digest
+    with pytest.raises(BadShow, match="cannot be read: they begin differently"):
+        TimedTrack.from_bytes(data.replace(b"track 1", b"track 2"))
 
 
 # -- no tracks ------------------------------------------------------------------------------------
