@@ -203,6 +203,16 @@ def test_no_moment_is_nearer_than_the_nearest(seed: int) -> None:
     assert distance >= min(everywhere) - fastest * last / 5000 - 1.1e-3
 
 
+def test_boxes_of_one_that_has_ended_and_of_one_that_passes_below_are_near() -> None:
+    """2 m beside and 4 m below its last point, 40 m east of the origin, 10 s after its end."""
+    ended = track("a1", (0, 0, 40, 9), (5, 30, 40, 9), (10, 60, 43, 9))
+    below = track("a2", (0, 0, 90, 5), (20, 60, 41, 5), (30, 90, 41, 5))
+    for two in ((ended, below), (below, ended)):
+        assert Windows(two).near(5.0) == {(0, 1): [(10, 20), (20, 30)]}
+        assert Windows(two).near(2.0 + 5e-7) == {(0, 1): [(10, 20), (20, 30)]}, "rounding is spared"
+        assert Windows(two).near(2.0 - 2e-6) == {(0, 1): [(10, 20)]}
+
+
 def test_an_aircraft_that_has_ended_may_be_anywhere_below_its_last_point() -> None:
     ended = track("a1", (0, 0, 0, 10), (5, 1, 0, 10))
     below = track("a2", (0, -20, 0, 3), (10, -20, 0, 3), (20, 20, 0, 3), (30, 40, 0, 3))
