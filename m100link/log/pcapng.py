@@ -305,13 +305,12 @@ class _Tables:
     def made(self) -> dict[str, Any]:
         telemetry = {name: self._telemetry(name) for name in PROFILES}
         commands = {
-            address.command_set * 256 + address.command_id: self._command(command)
+            int.from_bytes(bytes(address)): self._command(command)
             for address, command in COMMANDS.items()
         }
-        push = monitor.PushTelemetry.ADDRESS
         return {
             "start": START_VALUE,
-            "push": push.command_set * 256 + push.command_id,
+            "push": int.from_bytes(bytes(monitor.PushTelemetry.ADDRESS)),
             "firmwares": list(PROFILES),
             "system": {int(code): code.name for code in SystemCode},
             "telemetry": telemetry,

@@ -7,9 +7,11 @@ import fcntl
 import hashlib
 import os
 import threading
+from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import MagicMock
 
 import pytest
 from mcap.writer import Writer
@@ -386,6 +388,20 @@ def test_the_digest_is_of_the_first_bytes(directory: Path) -> None:
         LogDirectory(directory).digest(FIRST, 300_001, wanted)
     with pytest.raises(UsageError, match="the agent ends"):
         LogDirectory(directory).digest(FIRST, 1000, lambda: False)
+
+
+def test_a_log_on_a_disk_that_fails_is_refused(
+    directory: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = LogDirectory(directory)
+    with (directory / FIRST).open("rb") as file:
+        stream = MagicMock(fileno=file.fileno)
+        stream.read.side_effect = OSError(5, "Input/output error")
+        monkeypatch.setattr(found, "_opened", lambda _: nullcontext(stream))
+        with pytest.raises(UsageError, match="Input/output error"):
+            found.piece(FIRST, 0, 9)
+        with pytest.raises(UsageError, match="Input/output error"):
+            found.digest(FIRST, 9, wanted)
 
 
 def test_no_name_leads_out_and_no_link_anywhere(directory: Path) -> None:

@@ -50,15 +50,17 @@ def packets(data: bytes) -> list[tuple[int, bytes, int]]:
     return found
 
 
+@pytest.mark.parametrize("kept", [9, 14])
 @pytest.mark.parametrize("lost", [None, 0, 5, 14])
-def test_frames_are_cut_where_they_end(lost: int | None) -> None:
+def test_frames_are_cut_where_they_end(lost: int | None, kept: int) -> None:
     second = FRAMES[1] if lost is None else FRAMES[1][:lost] + FRAMES[1][lost + 1 :]
-    stream = b"noise" + FRAMES[0] + second + FRAMES[2] + FRAMES[3][:9]
+    stream = b"noise" + FRAMES[0] + second + FRAMES[2] + FRAMES[3][:kept]
     pieces, rest = cut(stream)
     assert b"".join(pieces) + rest == stream
     assert pieces[:2] == [b"noise", FRAMES[0]]
     assert FRAMES[2] in pieces
-    assert cut(rest, is_end=True) == ([FRAMES[3][:9]], b"")
+    assert rest == FRAMES[3][:kept]
+    assert cut(rest, is_end=True) == ([rest], b"")
 
 
 def test_whatever_comes_every_byte_is_in_one_piece_and_every_frame_is_found() -> None:

@@ -86,6 +86,14 @@ async def test_each_note_is_a_sentence(tmp_path: Path) -> None:
     assert [one.at_s for one in said] == sorted(one.at_s for one in said)
 
 
+def test_what_is_noted_later_has_the_time_when_it_was(tmp_path: Path) -> None:
+    """Messages are a second apart, from 1 s on; the last tells of 2.5 s ago."""
+    note = {"event": "text", "client": "x", "text": "hi", "earlier_s": 2.5}
+    others = [("/m100/link", {"firmware": "1.0"})] * 6
+    flight = written(tmp_path / "a.mcap", *others, ("/m100/event", note))
+    assert [one.at_s for one in report(flight, read_story(flight)) if one.text == "hi."] == [3.5]
+
+
 async def test_a_sentence_is_of_the_kind_that_it_is_about(tmp_path: Path) -> None:
     note = ("state", {"limits": {"max_height_m": 30.0}})
     kinds = {one.text: one.kind for one in await told(tmp_path / "a.mcap", [note])}

@@ -28,7 +28,7 @@ from m100link.log import read
 from m100link.log.channels import RX, TX
 from m100link.log.reading import FlightLog
 from m100link.log.records import registered
-from m100link.log.share import _EVENTS, _KEPT, _NAMES, _VOCABULARY, _Cleaner, share
+from m100link.log.share import _EVENTS, _KEPT, _NAMES, _VOCABULARY, _Cleaner, _Moved, share
 from m100link.log.story import read_story
 from m100link.protocol.firmware import profile
 from m100link.protocol.packet import _plan, telemetry_size
@@ -280,6 +280,30 @@ def test_each_word_of_the_agent_may_be_copied() -> None:
 
 
 # -- files and disks -------------------------------------------------------------------------------
+
+
+def test_a_copy_keeps_its_time_numbers_its_clients_and_lies_in_an_ocean(tmp_path: Path) -> None:
+    """30° W on the equator is mid-Atlantic, for a flight near it 150° E: mid-Pacific."""
+    moved = [_Moved().place(*one) for one in ((47.1, 11.2), (-5.0, -40.0), (10.0, -70.0))]
+    assert moved == [(0.0, -30.0), (0.0, 150.0), (0.0, -30.0)]
+    cleaner = _Cleaner()
+    assert [cleaner._name(one) for one in ("a", "b", "a")] == ["client 1", "client 2", "client 1"]
+    note = ("/m100/event", {"event": "control", "before": "none", "after": "held"})
+    flight = written(tmp_path / "a.mcap", ("/m100/link", {"firmware": "1.0"}), note)
+    with (tmp_path / "b.mcap").open("xb") as stream:
+        share(flight, stream)
+    assert next(read(tmp_path / "b.mcap").messages()).utc == 1.0
+
+
+@pytest.mark.parametrize(
+    ("firmware", "why"), [(None, "profile: --firmware 1.0"), ("1.0", "nothing that")]
+)
+def test_a_log_that_says_nothing_has_no_copy(
+    tmp_path: Path, firmware: str | None, why: str
+) -> None:
+    flight = written(tmp_path / "a.mcap", ("/other", {}))
+    with (tmp_path / "b.mcap").open("xb") as stream, pytest.raises(UsageError, match=why):
+        share(flight, stream, firmware=firmware)
 
 
 @pytest.mark.parametrize(
