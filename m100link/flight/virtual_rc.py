@@ -236,7 +236,8 @@ class VirtualRc:
         deadline = self._clock() + _SHOWN_S + self._commander.link.latency.slack_s
         while self._life.is_open and not self._was_shown:
             await asyncio.sleep(_PERIOD_S)
-            if self._clock() < deadline:
+            self._renewed_at = self._clock()  # no program can renew the sticks while it enters
+            if self._renewed_at < deadline:
                 continue
             if known(self._commander.state, ControlDevice) is None:
                 _logger.warning(

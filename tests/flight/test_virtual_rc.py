@@ -127,6 +127,7 @@ async def test_channels_go_out_ten_times_a_second_in_p(flown: Rig) -> None:
 
 async def test_sticks_that_are_not_renewed_go_back_within_half_a_second(flown: Rig) -> None:
     async with flown.aircraft.virtual_rc() as rc:
+        await asyncio.sleep(0.03)  # between two frames: they come 0.1 s apart
         rc.set(pitch=0.5)
         set_at = flown.virtual.vehicle.time
         await asyncio.sleep(2.0)
@@ -333,6 +334,8 @@ async def test_a_line_that_does_not_drain_ends_it(
         await task
     await asyncio.sleep(1.0)
     assert not is_on(flown)
+    with pytest.raises(LinkError, match="not switched on: the line does not drain"):
+        await flown.aircraft.virtual_rc().__aenter__()
 
 
 async def test_without_falling_back_it_goes_home_when_the_program_dies(flown: Rig) -> None:
@@ -427,14 +430,26 @@ async def test_the_pilots_way_out_must_be_there(change: Callable[[Any], None]) -
         assert switches(flown) == []
 
 
+async def test_a_switch_that_is_not_known_yet_is_waited_for(flown: Rig) -> None:
+    flown.virtual.set_rates(rc=0)
+    await asyncio.sleep(2.0)
+    asyncio.get_running_loop().call_later(0.5, lambda: flown.virtual.set_rates(rc=50))
+    async with flown.aircraft.virtual_rc():
+        assert is_on(flown)
+
+
 async def test_telemetry_that_does_not_show_it_on_is_reported_and_it_is_switched_off(
     flown: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    given = property(lambda _: 3.0, lambda *_: None)
+    monkeypatch.setattr(type(flown.aircraft.link.latency), "slack_s", given)
     virtual = flown.virtual.vehicle.remote.virtual
     monkeypatch.setattr(type(virtual), "switch", lambda *_: None)
     with pytest.raises(NotObserved, match="telemetry does not show it"):
         await fly_for_ever(flown)
-    assert [on for _, on in switches(flown)] == [True, False]
+    (on_at, is_on), (off_at, is_still_on) = switches(flown)
+    assert (is_on, is_still_on) == (True, False)
+    assert off_at - on_at >= 3.5, "a slow line has its time"
 
 
 async def test_without_the_control_item_it_flies_and_says_what_nobody_knows(
