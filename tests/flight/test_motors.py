@@ -185,8 +185,14 @@ async def test_k7_a_take_off_with_running_motors_fails_and_says_so(flown: Rig) -
 # -- how it ends ----------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("slack_s", [0.0, 1.5])
 @pytest.mark.parametrize("stop", ["hover", "land"])
-async def test_blades_that_never_flew_do_not_run_on(flown: Rig, stop: StopAction) -> None:
+async def test_blades_that_never_flew_do_not_run_on(
+    flown: Rig, stop: StopAction, slack_s: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given = property(lambda _: slack_s, lambda *_: None)
+    monkeypatch.setattr(type(flown.aircraft.link.latency), "slack_s", given)
+
     async def program() -> None:
         async with flown.aircraft.control(stop=stop) as control:
             await control.arm()
