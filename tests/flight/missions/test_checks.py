@@ -112,6 +112,9 @@ async def test_a_charge_that_does_not_last_for_the_plan_is_refused() -> None:
             async with control.waypoint_mission(plan(speed=1.0)):
                 pytest.fail("entered")
         assert caught.value.guard == "battery_floor_percent"
+        assert caught.value.measured == 25
+        assert isinstance(caught.value.limit, float)
+        assert caught.value.limit > 25, "the floor, and what the plan takes"
         assert orders(there) == []
         async with control.waypoint_mission(plan([(0.0, 0.0), (5.0, 0.0)])):
             pass

@@ -6,8 +6,10 @@ import asyncio
 import math
 import struct
 from collections.abc import AsyncIterator, Callable
+from itertools import islice
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import AsyncMock, MagicMock, call
 
 import pytest
 
@@ -25,7 +27,9 @@ from m100link import (
     Target,
     UsageError,
 )
+from m100link.flight.missions import hotpoint
 from m100link.flight.missions.hotpoint import HotpointFlight, largest_rate
+from m100link.geodesy import LocalFrame
 from m100link.protocol.commands.hotpoint import HotpointSetRate
 from tests.flight.foreign_aircraft import STANDBY
 from tests.flight.missions.foreign import assert_rests, foreign, orders, spot
@@ -126,11 +130,48 @@ async def test_a_stored_circle_confirms_a_rate_with_its_direction(
     assert not one._is_clockwise
 
 
+@pytest.mark.parametrize(("radius", "is_confirmed"), [(25.0, True), (25.1, False)])
+async def test_a_stored_circle_confirms_a_radius(radius: float, *, is_confirmed: bool) -> None:
+    one: Any = SimpleNamespace(_rate=8.0, _track=None, _check=MagicMock(), _send=AsyncMock())
+    await HotpointFlight.set_radius(one, 25.0)
+    confirms = one._send.mock_calls[0].args[2]
+    assert confirms(SimpleNamespace(radius=radius)) is is_confirmed
+    assert one._check.mock_calls == [call(25.0, 8.0)]
+
+
+def test_a_circle_is_judged_by_its_speed() -> None:
+    one: Any = SimpleNamespace(_context=MagicMock(), _centre=(22.5, 113.9))
+    one._request = SimpleNamespace(altitude=12.0)
+    HotpointFlight._check(one, 20.0, 9.0)  # nine degrees of 20 m are pi metres
+    one._context.guards.check_target.assert_called_once_with(
+        "the hotpoint", (22.5, 113.9), height=12.0, radius=20.0, speed=pytest.approx(math.pi)
+    )
+
+
+def test_turns_around_the_centre_are_positive_clockwise(monkeypatch: pytest.MonkeyPatch) -> None:
+    centre = LocalFrame(22.5, 113.9)
+    bearings: list[float | None] = [100.0, 130.0, 120.0, None, 170.0, -170.0]
+    found = []
+    for bearing in bearings:
+        angle = math.radians(bearing or 0.0)
+        north, east = 20.0 * math.cos(angle), 20.0 * math.sin(angle)
+        latitude, longitude = centre.to_geodetic(north, east)
+        there = SimpleNamespace(latitude_deg=latitude, longitude_deg=longitude)
+        found.append(None if bearing is None else there)
+    monkeypatch.setattr(hotpoint, "known", MagicMock(side_effect=found))
+    one: Any = SimpleNamespace(_context=MagicMock(), _centre=(22.5, 113.9))
+    turns = list(islice(HotpointFlight._turns(one), len(bearings)))
+    assert turns == pytest.approx([0.0, 30.0, -10.0, 0.0, 0.0, 20.0], abs=0.01)
+
+
 @pytest.mark.parametrize(
     ("radius", "most"), [(5.0, 30.0), (19.0, 30.0), (50.0, 11.46), (100.0, 5.73), (500.0, 1.146)]
 )
 def test_the_largest_rate_is_ten_metres_a_second(radius: float, most: float) -> None:
     assert largest_rate(radius) == pytest.approx(most, rel=1e-3)
+    hotpoint._require_rate(largest_rate(radius), radius)
+    with pytest.raises(UsageError, match=rf"would be {math.radians(33.0) * radius:.1f} m/s"):
+        hotpoint._require_rate(33.0, radius)
 
 
 @pytest.mark.parametrize(

@@ -41,7 +41,8 @@ async def test_a_plan_is_uploaded_flown_and_reported_in_order() -> None:
         assert steps[:2] == [Uploaded(4, 60.0), Started()]
         assert [e.index for e in steps if isinstance(e, Reached)] == [0, 1, 2, 3]
         assert isinstance(steps[-1], Finished)
-        assert any(isinstance(event, MissionProgress) for event in events)
+        told = [event.elapsed for event in events if isinstance(event, MissionProgress)]
+        assert told == pytest.approx([0.2 + second for second in range(len(told))], abs=0.5)
         assert mission.is_over
         control.send(NORTH)  # the aircraft is the program's again
     assert orders(there, 0x12) == [(0x12, 0)], "a mission that has ended needs no stop"
@@ -112,6 +113,12 @@ async def test_another_speed_is_the_one_that_the_aircraft_says() -> None:
         async with control.waypoint_mission(plan()) as mission:
             assert await mission.set_speed(2.0) == 2.0
             assert there.missions.speed == 2.0
+            with pytest.raises(UsageError, match="beyond the plan's max_speed"):
+                await mission.set_speed(-15.1)
+            there.missions.answers[0x16] = 0xE1
+            with pytest.raises(MissionRefused):
+                await mission.set_speed(1.0)
+            assert there.missions.speed == 2.0
 
 
 async def test_a_refusal_names_the_waypoint_and_nothing_flies() -> None:
@@ -121,6 +128,11 @@ async def test_a_refusal_names_the_waypoint_and_nothing_flies() -> None:
             async with control.waypoint_mission(plan()):
                 pytest.fail("entered")
         assert (caught.value.code, caught.value.point) == (0xE1, 0)
+        there.missions.answers = {0x10: 0xE1}
+        with pytest.raises(MissionRefused) as caught:
+            async with control.waypoint_mission(plan()):
+                pytest.fail("entered")
+        assert (caught.value.code, caught.value.point) == (0xE1, None)
         there.missions.answers = {0x12: 0xC9}
         with pytest.raises(MissionRefused) as caught:
             async with control.waypoint_mission(plan()):
