@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from unittest.mock import AsyncMock
 
 import pytest
 
-from m100link.errors import AuthorityLost, LinkLost
+from m100link.errors import AuthorityLost, LinkClosed, LinkLost
 from m100link.flight import lifecycle, virtual_rc
 from m100link.flight.lifecycle import (
     STOP_PLANS,
     TRANSITIONS,
+    BlockClaim,
     BlockInput,
     BlockState,
     Lifecycle,
@@ -300,3 +302,14 @@ def test_the_page_on_safety_has_each_failure_in_its_table(cause: StopCause) -> N
     rows = [line for line in page.splitlines() if line.startswith("| ")]
     assert cause in FAILURES, f"FAILURES of this file has no row for {cause.name}"
     assert any(FAILURES[cause] in row for row in rows), f"safety.md has no row for {cause.name}"
+
+
+@pytest.mark.anyio
+async def test_no_block_begins_behind_the_end_of_a_connection() -> None:
+    claim = BlockClaim()
+    claim.take(ended := AsyncMock())
+    await claim.close()
+    ended.assert_awaited_once_with()
+    claim.give_back()
+    with pytest.raises(LinkClosed, match="no control block begins any more"):
+        claim.take(ended)

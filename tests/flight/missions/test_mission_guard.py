@@ -389,7 +389,7 @@ class Ours:
 class Beside:
     """A guard with a mission of its own, or none, and pushes of somebody's hotpoint, or none."""
 
-    def __init__(self, state: RunState | None, *, is_pushed: bool) -> None:
+    def __init__(self, state: RunState | None, *, is_pushed: bool, slack_s: float = 0.0) -> None:
         self.now, self.sent, self.answer = 100.2, list[Any](), MissionCode.SUCCESS
         self.ours = None if state is None else Ours(state)
         self.watch = MissionWatch(lambda: self.now)
@@ -397,7 +397,7 @@ class Beside:
             self.push(HotpointStatus(1, radius_cm=1000), 100.0)
             self.push(HotpointStatus(1, radius_cm=1000), 100.1)
         loop = SimpleNamespace(time=lambda: self.now)
-        link = SimpleNamespace(loop=loop, latency=SimpleNamespace(slack_s=0.0))
+        link = SimpleNamespace(loop=loop, latency=SimpleNamespace(slack_s=slack_s))
         commander = SimpleNamespace(missions=self.watch, link=link, requests=self)
         commander.state = SimpleNamespace(fresh=lambda record, within=None: None)
         self.guard = MissionGuard(cast(Any, commander))
@@ -409,6 +409,21 @@ class Beside:
     async def execute(self, request: Any, **_: object) -> MissionCode:
         self.sent.append(request)
         return self.answer
+
+
+@pytest.mark.parametrize(
+    ("slack_s", "since", "is_of_another"),
+    [(0.0, 102.9, False), (0.0, 103.1, True), (0.5, 103.4, False), (0.5, 103.6, True)],
+)
+def test_pushes_within_three_seconds_of_a_stop_tell_of_what_it_ended(
+    slack_s: float, since: float, *, is_of_another: bool
+) -> None:
+    beside = Beside(None, is_pushed=False, slack_s=slack_s)
+    beside.guard._stop_asked_at = 100.0
+    for at in (since, since + 0.1):
+        beside.push(HotpointStatus(1, radius_cm=1000), at)
+    beside.now = since + 0.2
+    assert beside.guard.is_of_another is is_of_another
 
 
 @pytest.mark.parametrize("is_pushed", [True, False], ids=["pushed", "silent"])

@@ -23,12 +23,15 @@ from m100link import (
     LinkClosed,
     LinkLost,
     MissionAborted,
+    MissionKind,
     MissionRefused,
+    NotObserved,
     Reached,
     Started,
     TelemetryStalled,
     UsageError,
 )
+from m100link.flight.missions import mission_session
 from m100link.flight.missions.events import RunState
 from m100link.flight.missions.mission_session import MissionSession
 from tests.flight.foreign_aircraft import (
@@ -490,3 +493,27 @@ def test_what_ends_lets_go_of_the_pushes_that_nobody_newer_hears(*, is_replaced:
         cast(Any, SimpleNamespace(_context=context, _on_push=on_push, _watching=None))
     )
     assert missions.listener is (newer if is_replaced else None)
+
+
+@pytest.mark.parametrize("slack_s", [0.0, 1.5])
+async def test_a_pause_has_to_hover_for_a_while_within_six_seconds(
+    slack_s: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And the slack of a slow line; it hovers when it was slow for 0.4 s."""
+    loop = asyncio.get_running_loop()
+    link = SimpleNamespace(loop=loop, latency=SimpleNamespace(slack_s=slack_s))
+    commander: Any = SimpleNamespace(link=link, state=SimpleNamespace(situation=dict))
+    stops_at = 2.0
+
+    def velocity(*_: object) -> SimpleNamespace:
+        is_slow = 0.1 <= loop.time() - began < 0.3 or loop.time() - began >= stops_at
+        return SimpleNamespace(ground_speed_m_s=0.0 if is_slow else 3.0, up_m_s=0.0)
+
+    monkeypatch.setattr(mission_session, "known", velocity)
+    began = loop.time()
+    await mission_session._require_hover(commander, MissionKind.WAYPOINT)
+    assert 0.0 <= loop.time() - began - stops_at - 0.2 <= 0.4, "looked at each 0.2 s"
+    began, stops_at = loop.time(), 99.0
+    with pytest.raises(NotObserved):
+        await mission_session._require_hover(commander, MissionKind.WAYPOINT)
+    assert 0.0 <= loop.time() - began - 6.0 - slack_s <= 0.3
