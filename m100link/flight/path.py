@@ -183,8 +183,7 @@ class Path:
         to_centre = heading + sense * math.pi / 2
         centre = begin[0] + radius * math.cos(to_centre), begin[1] + radius * math.sin(to_centre)
         length = radius * abs(turn)
-        start = heading - sense * math.pi / 2  # from the centre, the other way
-        bend = _Bend(centre, radius, start, sense, length, self.length)
+        bend = _Bend(centre, radius, heading - sense * math.pi / 2, sense, length, self.length)
         self._pieces.append(bend)
         slow = min(math.sqrt(_CORNER_ACCELERATION * radius), _MAX_TURN_RAD_S * radius)
         self._limits.append((self.length, self.length + length, slow))

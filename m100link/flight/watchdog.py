@@ -110,8 +110,7 @@ class FollowCheck:
         self._heading: float | None = None  # when the turn began
         self._rightward = 0.0  # which turn is asked for
         self._place: Position | None = None
-        self._unseen = 0j  # north and east, m
-        self._unseen_s = 0.0
+        self._unseen, self._unseen_s = 0j, 0.0  # north and east, m, and for how long
 
     def look(self) -> str:
         """A demand that is not followed, with figures, or nothing; to be asked at 5 to 10 Hz."""
