@@ -162,7 +162,7 @@ class Bridge:
         # The share still to be read of each address, and when it was shared out: not by each step,
         # whose rest is longer while nothing waits.
         self._shares: dict[Address | None, int] = {None: _READ_PER_STEP}
-        self._shared_at = -STEP_S
+        self._shared_at = 0.0
         # Datagrams beyond a share that may end a flight: they wait for the next one.
         self._held: dict[tuple[Address, tuple[int, ...]], bytes] = {}
         self.dropped = 0  # datagrams that were not read because too many came

@@ -616,5 +616,12 @@ async def test_nobody_is_one_of_our_own_aircraft_and_strangers_are_not_answered(
     assert ([two.system for two in MessageReader(data)], address) == ([7, 9], HERE)
 
 
+async def test_bytes_that_are_skipped_cost_a_32th_of_those_that_are_read() -> None:
+    one = Datagrams(7)
+    for left in (32768 - 20, 32768 - 40):
+        one.bridge.received(bytes(640), HERE)
+        assert one.bridge._shares[None] == left
+
+
 def test_each_limit_is_as_agreed() -> None:
     assert limits.differences("apps/mavlink") == []

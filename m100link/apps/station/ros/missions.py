@@ -220,7 +220,7 @@ class MissionTopics:
     ) -> None:
         """Sent; nobody acknowledges it (errata 58)."""
         if not math.isfinite(value):
-            raise UsageError("that is not a number")
+            raise UsageError("what is asked for is a number")
         await self._clients.order(call, make(value))
 
 

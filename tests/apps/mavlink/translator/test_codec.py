@@ -8,6 +8,7 @@ import re
 from pathlib import Path
 from random import Random
 from typing import Any
+from zlib import crc32
 
 import pytest
 
@@ -379,6 +380,8 @@ def test_a_station_that_has_a_later_clock_does_not_refuse_what_is_signed_here() 
         *('{"sent": 1, "newest": {"1.2": 3}}', '{"sent": 1, "newest": {"1.2.x": 3}}'),
         *('{"sent": -1, "newest": {}}', '{"sent": "now", "newest": {}}', "\xff"),
         f'{{"sent": 1, "newest": {{"1.1.1": {2**48}}}}}',
+        '{"sent": 1, "newest": {}, "crc32": 7}',
+        f'{{"sent": 1, "newest": {{}}, "crc32": {crc32(b"[1, {}]")}, "more": 1}}',
     ],
 )
 def test_a_memory_that_cannot_be_read_hides_nothing(tmp_path: Path, spoilt: str) -> None:

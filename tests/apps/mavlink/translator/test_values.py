@@ -879,4 +879,6 @@ def test_ways_cross_an_edge_where_both_go_through_the_same_place() -> None:
         t, u = ((between.conjugate() * one).imag / area for one in (edge, way))
         ends = ((one.real, one.imag) for one in (a, b, c, d))
         assert _cross(*ends) is (0.0 <= t <= 1.0 and 0.0 <= u <= 1.0), (a, b, c, d)
-    assert _cross((0.0, 0.0), (2.0, 0.0), (1.0, 1.0), (1.0, 0.0)), "it touches"
+    way, edge = ((0.0, 0.0), (2.0, 0.0)), ((1.0, 1.0), (1.0, 0.0))
+    assert _cross(*way, *edge), "the edge ends on the way"
+    assert _cross(*edge, *way), "the way ends on the edge"

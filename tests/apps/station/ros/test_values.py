@@ -716,6 +716,19 @@ def test_a_service_asks_for_what_its_arguments_say(
 def test_a_service_that_means_nothing_asks_for_nothing(name: str, values: dict[str, Any]) -> None:
     found, [answer] = asks((name, values))
     assert (found, answer["result"]) == ([], False)
+    assert None not in values.values() or "is a number" in answer["values"]
+
+
+def test_without_an_origin_nothing_flies_to_a_local_place() -> None:
+    async def do(rig: KnownRig) -> None:
+        rig.page = rig.client()
+        rig.known.tell_package(0.0, changed=[position(health=3)])
+        rig.page.call("/dji_sdk/sdk_control_authority", control_enable=1)
+        await anyio.sleep(0.1)
+        rig.page.call("/dji_sdk/local_position_control", x=1.0, y=2.0, z=3.0, yaw=4.0)
+        await anyio.sleep(0.1)
+
+    assert "local positions have no origin yet" in str(run(do).page.read()[-2:])
 
 
 # The commands of 2015: a float that the C program casts to a byte; the request, and the answer.
