@@ -254,6 +254,9 @@ async def test_folders_are_listed_from_any_entry(rig: Rig, ftp: Client) -> None:
     assert await ftp.ask(LIST, b"//./log", at=1) == (ACK, logs[1], 0)
     assert await ftp.ask(LIST, b"/log", at=2) == (NAK, bytes([EOF]), 0)
     assert await ftp.ask(LIST, b"/etc") == (NAK, bytes([NOT_FOUND]), 0)
+    long = [f"F{letter * 100}\t7\0".encode() for letter in "abc"]  # 239 bytes hold two of them
+    rig.vehicle.files._folders["long"] = long
+    assert await ftp.ask(LIST, b"/long") == (ACK, b"".join(long[:2]), 0)
 
 
 @pytest.mark.parametrize("name", [f"/log/{NEW}", "general.json"])

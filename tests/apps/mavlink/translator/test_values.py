@@ -15,7 +15,12 @@ from m100link.apps.agent.orders import FlyAround, FlyTo, GuidedOrder
 from m100link.apps.mavlink.order_executor import MissionFlights
 from m100link.apps.mavlink.translator.codec import MavlinkMessage, Peer
 from m100link.apps.mavlink.translator.missions import MissionProtocol, _cross, read_fence
-from m100link.apps.mavlink.translator.orders import FlightSequence, HoldPosition, ModeRequest
+from m100link.apps.mavlink.translator.orders import (
+    FlightSequence,
+    HoldPosition,
+    ModeRequest,
+    PayloadOrder,
+)
 from m100link.apps.mavlink.translator.payload import Aim, _aim_of
 from m100link.apps.mavlink.translator.vehicle import MavlinkVehicle
 from m100link.apps.mavlink.translator.vehicle_state import (
@@ -774,6 +779,21 @@ def test_a_gimbal_turns_by_60_degrees_a_second_and_not_by_a_heading_that_nobody_
         one._payload._heading()
 
 
+def test_photos_at_an_interval_are_as_many_as_are_asked_for() -> None:
+    """IMAGE_START_CAPTURE of two seconds; the first one is taken at once."""
+    for count, left in ((3.0, 2), (0.0, None)):
+        one = vehicle(firmware="3.1")
+        known: Any = one.world.known
+        known.now = 2.5
+        values = dict(enumerate((0.0, 2.0, count, 0.0, math.nan, math.nan, math.nan), 1))
+        answers(one, "COMMAND_LONG", command=2000, **{f"param{n}": v for n, v in values.items()})
+        order = one.manager.orders[-1]
+        assert isinstance(order, PayloadOrder)
+        order.done(None)
+        assert one._payload._interval is not None
+        assert one._payload._interval.left == left
+
+
 def test_the_attitude_of_a_gimbal_is_a_quaternion_of_about_length_1_and_finite_numbers() -> None:
     def aim(size: float, rate: float = 0.25) -> Aim:
         q = tuple(size * one for one in quaternion(10.0, -20.0, 100.0))
@@ -879,6 +899,6 @@ def test_ways_cross_an_edge_where_both_go_through_the_same_place() -> None:
         t, u = ((between.conjugate() * one).imag / area for one in (edge, way))
         ends = ((one.real, one.imag) for one in (a, b, c, d))
         assert _cross(*ends) is (0.0 <= t <= 1.0 and 0.0 <= u <= 1.0), (a, b, c, d)
-    way, edge = ((0.0, 0.0), (2.0, 0.0)), ((1.0, 1.0), (1.0, 0.0))
-    assert _cross(*way, *edge), "the edge ends on the way"
-    assert _cross(*edge, *way), "the way ends on the edge"
+    north, at_it = ((0.0, 0.0), (2.0, 0.0)), ((1.0, 1.0), (1.0, 0.0))
+    assert _cross(*north, *at_it), "the edge ends on the way"
+    assert _cross(*at_it, *north), "the way ends on the edge"
