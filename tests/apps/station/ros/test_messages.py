@@ -51,6 +51,7 @@ def test_what_is_missing_gets_its_default() -> None:
         ("std_msgs/Header", {"stamp": 5}, "stamp is not a time"),
         ("std_msgs/Header", {"stamp": {"secs": -1}}, "outside 0"),
         ("sensor_msgs/Joy", {"axes": "1"}, "axes is not a list"),
+        ("sensor_msgs/Joy", {"buttons": [1 << 31]}, "outside -2147483648 to 2147483647"),
         ("sensor_msgs/Joy", {"axes": [0.0, None, "x"]}, r"axes\[2\] is not a number"),
         ("sensor_msgs/Joy", {"header": {"stamp": {"x": 1}}}, "header.stamp is not a time"),
         ("sensor_msgs/Imu", {"orientation_covariance": [0.0]}, "takes 9"),
