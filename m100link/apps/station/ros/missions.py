@@ -220,7 +220,7 @@ class MissionTopics:
     ) -> None:
         """Sent; nobody acknowledges it (errata 58)."""
         if not math.isfinite(value):
-            raise UsageError("what is asked for is a number")
+            raise UsageError("the order needs a finite number")
         await self._clients.order(call, make(value))
 
 
