@@ -123,6 +123,7 @@ def test_landing_elsewhere_flies_there_first() -> None:
     plan = read(*NORTH, there)
     assert plan.at_end is AtEnd.LAND
     assert (len(plan.waypoints), plan.waypoints[-1].height) == (4, 30)
+    assert read(waypoint(0), waypoint(50, 40), waypoint(100, 35), there).waypoints[-1].height == 35
     here = item(21, 0, 0, 0, None, HOME[0], HOME[1], 0, frame=3)
     assert len(read(NORTH[1], NORTH[0], here).waypoints) == 2
 
@@ -150,6 +151,14 @@ def test_photographs_by_distance_are_waypoints_of_their_own() -> None:
 def test_a_photograph_next_to_a_waypoint_is_taken_there() -> None:
     plan = read(waypoint(0), item(206, 49), waypoint(50), waypoint(101))
     assert actions(plan) == [[], [TakePhoto()], [TakePhoto()], []]
+    plan = read(waypoint(0), item(206, 53), waypoint(50), waypoint(101))  # 3 m behind it
+    assert actions(plan) == [[], [], [TakePhoto()], []]
+
+
+def test_a_photograph_on_a_climb_is_as_high_as_the_way_is_there() -> None:
+    """50 m up over 100 m are 111.8 m; 20 m along them it is 8.94 m higher."""
+    plan = read(waypoint(0, 30), item(206, 20), waypoint(100, 80))
+    assert plan.waypoints[1].height == pytest.approx(38.94, abs=0.01)
 
 
 def test_heights_count_from_home() -> None:
@@ -329,12 +338,13 @@ def test_each_item_is_the_command_of_mavlink_with_its_parameters(
     points = [
         Waypoint(47.25, -8.5, 30.0, heading_deg=-45, actions=actions, turn_clockwise=False),
         Waypoint(47.252, -8.501, 35.5, heading_deg=170, actions=[TurnTo(45)]),
+        Waypoint(47.254, -8.502, 40.0, heading_deg=10),
     ]
     plan = WaypointPlan(points, speed=4.5, heading=heading, at_end=at_end)
     document = json.loads(plan.to_qgroundcontrol())
-    yaws = (-45, 170) if heading is Heading.BY_WAYPOINT else (None, None)
+    yaws = (-45, 170, 10) if heading is Heading.BY_WAYPOINT else (None, None, None)
     ends: dict[AtEnd, list[tuple[int, int, list[float | None]]]] = {
-        AtEnd.LAND: [(21, 3, [0, 0, 0, None, 47.252, -8.501, 0])],
+        AtEnd.LAND: [(21, 3, [0, 0, 0, None, 47.254, -8.502, 0])],
         AtEnd.GO_HOME: [(20, 2, [0] * 7)],
         AtEnd.HOVER: [],
     }
@@ -350,6 +360,7 @@ def test_each_item_is_the_command_of_mavlink_with_its_parameters(
         (205, 2, [-60, 0, 0, 0, 0, 0, 2]),  # DO_MOUNT_CONTROL: pitch, mode of angles
         (16, 3, [0, 0, 0, yaws[1], 47.252, -8.501, 35.5]),
         (115, 2, [45, 0, 1, 0, 0, 0, 0]),
+        (16, 3, [0, 0, 0, yaws[2], 47.254, -8.502, 40.0]),
         *ends[at_end],
     ]
     assert [item["doJumpId"] for item in items] == list(range(1, len(items) + 1))

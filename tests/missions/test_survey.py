@@ -85,7 +85,7 @@ def test_a_short_line_has_a_photograph_at_each_end(length: float, parts: int) ->
 
 
 def test_photographs_of_a_mistake_in_the_units_are_counted_not_made() -> None:
-    field = area([(0, 0), (3000, 0), (3000, 100), (0, 100)])
+    field = area([(0, 0), (3000, 0), (3000, 70), (0, 70)])  # 7 lines of 1500
     with pytest.raises(UsageError, match="every 2 m are more than 10000"):
         survey(field, height=30, spacing=10, photo_every=2.0)
 
@@ -159,6 +159,10 @@ def test_an_orbit_goes_around_clockwise_and_looks_at_the_ground_of_its_centre() 
     looks = [one.heading_deg for one in plan.waypoints[::6]]
     assert looks == [180, -90, 0, 90, 180]
     assert {one.gimbal_pitch_deg for one in plan.waypoints} == {-45}
+    # Two fifths of the way between neighbours; the first is the one nearest to the aircraft.
+    assert plan.waypoints[5].damping == pytest.approx(0.4 * math.tau * 40.0 / 24.0, rel=1e-4)
+    aside = around(start=FRAME.to_geodetic(160.0, -30.0))[1][0]
+    assert aside == pytest.approx((24.0, -32.0), abs=0.01)
     assert (plan.heading, plan.gimbal_by_waypoint) == (Heading.BY_WAYPOINT, True)
     assert plan.trace is Trace.COORDINATED_TURNS
     assert not any(one.actions for one in plan.waypoints)

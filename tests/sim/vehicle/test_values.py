@@ -367,18 +367,18 @@ def test_each_error_is_added_to_its_own_value_and_poor_gps_is_20_times_as_far_of
 
 @pytest.mark.parametrize("scale", [1.0, 3.0])
 def test_inertial_noise_is_that_of_the_airframe_on_each_axis(scale: float) -> None:
-    """Axis by axis: a drawn number of 1, −2 and 3, times 0.05 m/s² and 0.005 rad/s."""
+    """Axis by axis: a drawn number of 1.5, −2 and 3, times 0.05 m/s² and 0.005 rad/s."""
     vehicle = posed("1.0", noise=scale)
-    vehicle.sensors._noise = lambda: [1.0, -2.0, 3.0]
+    vehicle.sensors._noise = lambda: [1.5, -2.0, 3.0]
     exact = posed("1.0")
     for name, deviation in (("acceleration", 0.05), ("angular_velocity", 0.005)):
         off = zip(read(vehicle, name), read(exact, name), strict=True)
-        wanted = [scale * deviation * one for one in (1.0, -2.0, 3.0)]
+        wanted = [scale * deviation * one for one in (1.5, -2.0, 3.0)]
         assert [a - b for a, b in off] == pytest.approx(wanted)
     for one in (vehicle, exact):
         one.configure(AssistantSettings(acceleration=AccelerationMode.RAW))
     felt = zip(read(vehicle, "acceleration"), read(exact, "acceleration"), strict=True)
-    wanted = [scale * 0.05 * one / 9.80665 for one in (1.0, -2.0, 3.0)]
+    wanted = [scale * 0.05 * one / 9.80665 for one in (1.5, -2.0, 3.0)]
     assert [a - b for a, b in felt] == pytest.approx(wanted)
 
 
