@@ -71,7 +71,7 @@ class Redaction:
 
     def __init__(self) -> None:
         self.count = 0  # places where something was taken out
-        self._sent_at = -math.inf
+        self._sent_at = 0.0
         # Secrets that must not be written down, the longest first, and the text in their place.
         self._secrets: dict[bytes, bytes] = {}
 

@@ -109,6 +109,22 @@ def test_what_is_none_is_refused_and_nothing_else_happens(name: str, data: bytes
             decode(name, head + data)
 
 
+@pytest.mark.parametrize(
+    ("data", "why"),
+    [
+        (b"\0\0\0\0\0\0\0\4abc\0", "not CDR as ROS 2 writes it"),  # big-endian
+        (b"\0\1\0\0\4\0\0\0ab\0", "a text that does not end"),
+        (b"\0\1\0\0\4\0\0\0abcd", "a text that does not end"),
+    ],
+)
+def test_a_text_of_another_order_or_without_an_end_is_refused(data: bytes, why: str) -> None:
+    assert decode("std_msgs/String", b"\0\1\0\0\4\0\0\0abc\0") == {"data": "abc"}
+    with pytest.raises(ValueError, match=why):
+        decode("std_msgs/String", data)
+    with pytest.raises(LookupError, match="no row for std_msgs/Nothing"):
+        decode("std_msgs/Nothing", b"\0\1\0\0")
+
+
 def test_a_sequence_has_as_many_values_as_its_bound_and_no_more() -> None:
     """``floating_point_range[<=1]``, says rcl_interfaces/ParameterDescriptor."""
     one = {"from_value": -1.5, "to_value": 2.5, "step": 0.25}

@@ -310,8 +310,8 @@ def test_samples_have_the_times_of_their_reads_and_columns_the_calendar(tmp_path
     names, rows = log.rows(Battery)
     assert names == ("received_at", "utc", "battery.percent")
     assert [list(row) for row in rows] == [
-        pytest.approx([20.5, UTC + 20.5, 63.0]),
-        pytest.approx([20.575, UTC + 20.575, 7.0]),
+        pytest.approx([20.5, UTC + 20.5, 63.0], abs=1e-5),
+        pytest.approx([20.575, UTC + 20.575, 7.0], abs=1e-5),
     ]
     assert [type(one).__name__ for one in log.heard(LINK, firmware=None)] == ["Message"]
 

@@ -297,6 +297,7 @@ async def test_a_recorder_is_of_one_connection(tmp_path: Path) -> None:
 
 async def test_a_recorder_that_is_ended_early_notes_nothing_more(tmp_path: Path) -> None:
     record = Recorder(tmp_path / "flight.mcap")
+    record._given = record._taken = recorder.MAX_WAITING  # what the disk took waits no more
     async with connect("sim://", record=record) as aircraft:
         await asyncio.sleep(1.0)
         await record.aclose()

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from m100link.log import read, recorder, recover
-from m100link.log.records import RawMessage, _length_of_part, _unpacked, records
+from m100link.log.records import RawMessage, _bytes, _length_of_part, _unpacked, records
 from tests.log.flight import flown
 
 pytestmark = pytest.mark.anyio
@@ -179,6 +179,18 @@ def test_a_part_without_checksum_is_whole_by_its_size(size: int, is_whole: bool)
     else:
         with pytest.raises(ValueError, match="checksum"):
             _unpacked(body)
+
+
+def test_a_part_and_a_text_that_are_cut_and_one_that_grows_to_more_are_refused() -> None:
+    head = struct.pack("<QQQI", 0, 0, 5, 0)
+    with pytest.raises(ValueError, match="a part of 5 bytes"):
+        _unpacked(head + bytes(4) + struct.pack("<Q", 5) + b"abcd")
+    # zstd (RFC 8878): one segment, and a content size of 8 bytes: 2 GiB.
+    frame = b"\x28\xb5\x2f\xfd\xe0" + struct.pack("<Q", 2 << 30) + b"\1\0\0"
+    with pytest.raises(ValueError, match="asks for more than it says"):
+        _unpacked(head + b"\4\0\0\0zstd" + struct.pack("<Q", len(frame)) + frame)
+    with pytest.raises(IndexError, match="a text that does not end"):
+        _bytes(b"\5\0\0\0abcd", 0)
 
 
 @pytest.mark.parametrize(
