@@ -7,7 +7,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from m100link.errors import BadURL
-from m100link.link.url import DEFAULT_BAUD_RATE, EXAMPLES, ConnectionString, parse_url
+from m100link.link.url import (
+    DEFAULT_BAUD_RATE,
+    EXAMPLES,
+    ConnectionString,
+    parse_replay,
+    parse_url,
+)
 
 
 @pytest.mark.parametrize(
@@ -87,6 +93,23 @@ def test_a_bad_url_is_quoted_beside_examples_that_work(url: str) -> None:
     for example in EXAMPLES:
         assert example in str(caught.value)
         assert parse_url(example).scheme in ("serial", "tcp", "sim", "replay")
+
+
+@pytest.mark.parametrize(
+    ("url", "seen"),
+    [
+        ("replay://", "names no file"),
+        ("replay://f?to=3", "has the option 'to'"),
+        ("replay://f?from=5&until=5", "ends before it begins"),
+        ("replay://f?speed=0", "has the speed '0', which is not"),
+        ("replay://f?from=soon", "has from='soon', which is not a number of seconds"),
+        ("replay://f?until=-1", "has until='-1', which is not a number of seconds"),
+    ],
+)
+def test_a_recording_is_named_and_its_part_is_one(url: str, seen: str) -> None:
+    with pytest.raises(BadURL) as refusal:
+        parse_replay(url)
+    assert seen in refusal.value.seen
 
 
 @given(st.text(max_size=60))

@@ -323,6 +323,7 @@ class Played:
 async def test_what_was_before_and_the_run_up_come_at_once_and_the_rest_in_its_time() -> None:
     """From the fourth second at double speed: the run-up begins at 1.5 s."""
     one = Played(speed=2.0, from_s=4.0, to_s=8.0)
+    assert one.player.utc_offset_s == pytest.approx(UTC + 4.0 - one.began, abs=0.001)
     await asyncio.sleep(0.01)
     assert (one.asked, one.forgotten) == ([0.5], 1), "a second before the run-up, by the calendar"
     assert one.order == ["early", 20, "run-up", 30]
