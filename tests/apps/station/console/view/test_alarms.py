@@ -417,6 +417,7 @@ def test_what_is_so_when_somebody_comes_is_reported() -> None:
 def test_both_limits_are_watched_and_the_nearer_is_said() -> None:
     flight = Flight(height=46.0, distance=148.0)
     assert flight.text(N.GUARD_NEAR) == "Near the limit: distance 148 m of 150 m"
+    assert "height" in Flight(height=49.0, distance=140.0).text(N.GUARD_NEAR), "98 and 93 percent"
 
 
 def definitions() -> Iterator[tuple[AlarmName, bool, bool]]:
