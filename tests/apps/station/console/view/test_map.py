@@ -103,10 +103,10 @@ def test_nonsense_from_the_page_changes_nothing(value: object) -> None:
 
 
 def test_an_operator_who_cannot_point_gives_distance_and_bearing() -> None:
-    pointed = Pointed().by_distance(HERE, 100.0, 90.0)
-    assert pointed.place is not None
-    north, east = LocalFrame(*HERE).to_local(*pointed.place)
-    assert (north, east) == pytest.approx((0.0, 100.0), abs=1e-3)
+    for bearing, expected in ((90.0, (0.0, 100.0)), (210.0, (-86.6025, -50.0))):
+        pointed = Pointed().by_distance(HERE, 100.0, bearing)
+        assert pointed.place is not None
+        assert LocalFrame(*HERE).to_local(*pointed.place) == pytest.approx(expected, abs=1e-3)
 
 
 def test_the_preview_is_said_in_the_words_and_units_of_the_operator() -> None:
