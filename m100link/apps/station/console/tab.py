@@ -186,14 +186,10 @@ class Tab:
 
     def _stop_now(self, press: object) -> asyncio.Task[Any]:
         """STOP by either way, that of the socket or of the page's other events: once a press."""
-        task = self._stopping
-        if task is None or task.done():
-            if (
-                task is not None
-                and (type(press) is int and press == self._stop_press)
-                and (not task.cancelled() and task.result() is True)
-            ):
-                return task
+        task, is_known = self._stopping, type(press) is int and press == self._stop_press
+        if task is None or (
+            task.done() and not (is_known and not task.cancelled() and task.result())
+        ):
             work = self.attempt(self.session.stop)
             task = self._agent.background.spawn(work, f"stop of {self.session.name}")
         self._stopping, self._stop_press = task, press

@@ -195,10 +195,12 @@ class Tabs:
             self._slept = math.nan
 
     async def _read(self, websocket: WebSocket, place: _Place) -> None:
+        connection: WebSocketConnection = websocket.scope["state"]["connection"]
         async for frame in frames_of(websocket):
             place.heard_at, place.has_spoken = self._agent.now, True
-            answer = place.tab.receive(frame)
-            if answer is not None and place.tab.agent.view.hearing is Hearing.HEARD:
+            answer, hearing = place.tab.receive(frame), place.tab.agent.view.hearing
+            # STOP waits behind no answer that a slow way to the page holds up.
+            if answer is not None and hearing is Hearing.HEARD and connection.writable.is_set():
                 await websocket.send_json(answer)
 
     async def _write(self, websocket: WebSocket, tab: Tab) -> None:

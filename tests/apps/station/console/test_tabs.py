@@ -38,12 +38,14 @@ class Page:
         self.sent: list[dict[str, Any]] = []
         self._count = 0
         self.takes = 0.0  # seconds for each message
+        self.writable = asyncio.Event()  # as uvicorn has it: cleared while too much waits
+        self.writable.set()
         scope = {
             "type": "websocket",
             "path_params": {"key": self.key},
             "client": (peer, 1),
             "headers": [],
-            "state": {"connection": SimpleNamespace()},
+            "state": {"connection": SimpleNamespace(writable=self.writable)},
         }
         receive: Callable[[], Awaitable[Any]] = self._inbox.get
         self.work = asyncio.create_task(tabs.serve(WebSocket(scope, receive, self._send)))
@@ -52,10 +54,10 @@ class Page:
         await asyncio.sleep(self.takes)
         self.sent.append(message)
 
-    def say(self) -> None:
-        """That it is alive."""
+    def say(self, op: str = "alive") -> None:
+        """That it is alive, or STOP."""
         self._count += 1
-        said = {"op": "alive", "n": self._count, "at": 1000 * self.rig.agent.now}
+        said = {"op": op, "n": self._count, "at": 1000 * self.rig.agent.now}
         self._inbox.put_nowait({"type": "websocket.receive", "text": json.dumps(said)})
 
     def leave(self) -> None:
@@ -102,6 +104,21 @@ async def test_what_a_slow_page_does_not_get_is_counted_for_its_tab(rig: Rig) ->
     slow.leave()
     await slow.work
     assert tabs.dropped() == {"fast": 0}
+
+
+async def test_stop_is_heard_of_a_page_that_takes_nothing(rig: Rig) -> None:
+    """Its answers wait on a slow way down; what it says came up long ago."""
+    tabs = Tabs({"m100": rig.front})
+    page = Page(rig, tabs)
+    await anyio.sleep(0.1)
+    page.takes = 60.0
+    page.writable.clear()
+    for op in ("alive", "stop"):
+        page.say(op)
+    await anyio.sleep(0.5)
+    assert rig.front.stopped_at == pytest.approx(rig.agent.now, abs=0.6)
+    page.leave()
+    await page.work
 
 
 @pytest.mark.parametrize(("turn_s", "times"), [(0.09, 0), (0.12, 1)])
