@@ -21,7 +21,14 @@ from m100link.apps.agent.messages import GuardLimits, Journal
 from m100link.apps.agent.server.agent import Agent
 from m100link.apps.agent.server.authority import AuthorityManager, HoldingInput, HoldingState
 from m100link.apps.agent.server.connection import ConnectionState, by_driver
-from m100link.errors import AuthorityRefused, LinkError, NoAuthority, NotObserved
+from m100link.errors import (
+    AuthorityRefused,
+    GuardianFailed,
+    LinkError,
+    NoAuthority,
+    NotObserved,
+)
+from m100link.flight.guardian import Guardian
 from m100link.flight.guards import Envelope, Guards
 from m100link.protocol.setpoint import Setpoint
 from m100link.sim.line import NO_FAULTS, LineFaults
@@ -121,6 +128,33 @@ async def test_a_release_that_nobody_answers_is_not_noted_as_one(rig: Rig) -> No
     rig.aircraft.set_faults(LineFaults(loss=1.0), to_aircraft=NO_FAULTS)
     await rig.agent.ask(orders.Release(), rig.token)
     assert "may not be released" in rig.agent.journal.events[-1].text
+
+
+@pytest.mark.parametrize("flies", [True, False])
+async def test_an_aircraft_that_flies_is_landed_where_no_guardian_can_be_started(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch, flies: bool
+) -> None:
+    """No descriptor, no process, no Python any more: on the ground no flight begins so."""
+
+    async def start(self: Any) -> None:
+        if self._is_asked_for:
+            raise GuardianFailed("the guardian did not start: Too many open files")
+
+    if flies:
+        await airborne(rig)
+        await rig.agent.ask(orders.Release(), rig.token)
+    monkeypatch.setattr(Guardian, "start", start)
+    if not flies:
+        with pytest.raises(GuardianFailed):
+            await rig.agent.ask(orders.Obtain(), rig.token)
+        assert rig.holding.state is S.NONE
+        return
+    await rig.agent.ask(orders.Obtain(), rig.token)
+    texts = [event.text for event in rig.agent.journal.events if event.level == "error"]
+    seen = "the guardian did not start: Too many open files"
+    assert texts == [f"{seen}; in the air control is obtained without a guardian"]
+    await rig.agent.ask(orders.Land(), rig.token)
+    assert rig.aircraft.height == pytest.approx(0.0, abs=0.1)
 
 
 async def test_two_that_ask_at_once_ask_the_aircraft_once(rig: Rig) -> None:
