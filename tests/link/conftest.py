@@ -7,7 +7,15 @@ from typing import Any
 
 import pytest
 
+from m100link.link import transport
 from m100link.sim.clock import VirtualClockEventLoop
+from tests.waiting import PATIENCE
+
+
+@pytest.fixture(autouse=True)
+def owners_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The search for a port's owners has a second, which other processes may take up."""
+    monkeypatch.setattr(transport, "_LOOK_S", PATIENCE)
 
 
 @pytest.fixture
