@@ -268,8 +268,8 @@ def _errno_of(error: BaseException) -> int | None:
 def port_owners(device: str, processes: str = "/proc") -> tuple[tuple[int, str], ...]:
     """Processes that hold a device open, as ``(pid, name)``, where the system tells.
 
-    The holder of the master of a pseudo-terminal is its other end. Looks for a second at the most,
-    and so never from an event loop.
+    The holder of the master of a pseudo-terminal is its other end, and holds the terminal once for
+    that. Looks for a second at the most, and so never from an event loop.
     """
     from pathlib import Path
 
@@ -280,8 +280,9 @@ def port_owners(device: str, processes: str = "/proc") -> tuple[tuple[int, str],
         if time.monotonic() > until:
             break
         try:
-            files = {os.path.realpath(fd) for fd in (process / "fd").iterdir()}
-            if wanted in files and not (wanted.startswith("/dev/pts/") and "/dev/ptmx" in files):
+            files = [os.path.realpath(fd) for fd in (process / "fd").iterdir()]
+            is_its_end = wanted.startswith("/dev/pts/") and "/dev/ptmx" in files
+            if files.count(wanted) > is_its_end:
                 owners.append(
                     (int(process.name), (process / "comm").read_text("utf-8", "replace").strip())
                 )

@@ -12,7 +12,7 @@ from m100link.sim.clock import VirtualClockEventLoop
 from tests.waiting import PATIENCE
 
 
-@pytest.fixture(autouse=True)
+@pytest.fixture
 def owners_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
     """The search for a port's owners has a second, which other processes may take up."""
     monkeypatch.setattr(transport, "_LOOK_S", PATIENCE)

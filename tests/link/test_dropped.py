@@ -22,7 +22,7 @@ from tests.link.test_serial_pty import open_descriptors
 from tests.rig import NORTH
 from tests.waiting import blocking_until
 
-pytestmark = pytest.mark.pty
+pytestmark = [pytest.mark.pty, pytest.mark.usefixtures("owners_are_found")]
 
 
 def run_and_collect(program: Coroutine[object, object, None]) -> None:

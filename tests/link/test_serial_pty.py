@@ -24,7 +24,7 @@ from m100link.link.link import CLOSE_TIMEOUT
 from m100link.wire import FrameDecoder, encode_frame
 from tests.waiting import PATIENCE, until
 
-pytestmark = [pytest.mark.anyio, pytest.mark.pty]
+pytestmark = [pytest.mark.anyio, pytest.mark.pty, pytest.mark.usefixtures("owners_are_found")]
 
 
 class Terminal:

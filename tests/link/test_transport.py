@@ -29,7 +29,7 @@ from m100link.link.url import ConnectionString, parse_url
 from tests.link.peer import Peer, settle
 from tests.waiting import PATIENCE
 
-pytestmark = pytest.mark.anyio
+pytestmark = [pytest.mark.anyio, pytest.mark.usefixtures("owners_are_found")]
 
 
 @pytest.fixture
@@ -143,6 +143,18 @@ def test_the_owners_of_a_port_are_looked_for_no_longer_than_a_second(
         assert (os.getpid(), Path("/proc/self/comm").read_text().strip()) in port_owners(str(held))
         monkeypatch.setattr(transport, "_LOOK_S", -1.0)
         assert port_owners(str(held)) == ()
+
+
+def test_the_other_end_of_a_terminal_is_no_owner_of_it_until_it_opens_it_itself() -> None:
+    master, slave = os.openpty()
+    try:
+        name = os.ttyname(slave)
+        assert port_owners(name) == ()
+        with Path(name).open("rb", buffering=0):
+            assert [process for process, _ in port_owners(name)] == [os.getpid()]
+    finally:
+        os.close(master)
+        os.close(slave)
 
 
 async def test_a_tilde_is_the_home_of_the_user(
