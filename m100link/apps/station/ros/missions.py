@@ -220,7 +220,7 @@ class MissionTopics:
     ) -> None:
         """Sent; nobody acknowledges it (errata 58)."""
         if not math.isfinite(value):
-            raise UsageError("the order needs a finite number")
+            raise UsageError("each value of an order is a number")
         await self._clients.order(call, make(value))
 
 
