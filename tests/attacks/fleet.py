@@ -90,9 +90,9 @@ async def main():
             await asyncio.sleep(0.05)
         page = Browser(SimpleNamespace(front=far, agent=far), "page")
         page.say("alive")
-        await page.tab.activate()
-        await page.tab.obtain()
-        await keep_alive(page, page.tab.ask(orders.TakeOff()))
+        await page.tab.session.ask(orders.Activate())
+        await page.tab.session.obtain()
+        await keep_alive(page, page.tab.session.ask(orders.TakeOff()))
         while True:
             page.beat(2, y=3.0)
             await asyncio.sleep(0.05)

@@ -128,11 +128,13 @@ class Measured:
 
     @property
     def received(self) -> float:
-        """Share of what was sent that came.
+        """Share of the telemetry that came.
 
-        Who watches begins to count a moment before the others.
+        The watcher begins to count a moment before the others. Cards of states are for the agents
+        themselves: an operator asks for them.
         """
-        return sum(min(self.heard[k], n) for k, n in self.sent.items()) / self.sent.total()
+        sent = self.sent.total() - self.sent["state"]
+        return sum(min(self.heard[k], self.sent[k]) for k in ("5hz", "tel")) / sent
 
     @property
     def us(self) -> float:
@@ -255,7 +257,7 @@ def measure(
         told=told,
         flying=flying,
         sent=sent,
-        heard=Counter({kind: seen["heard"][kind] for kind in sent}),
+        heard=Counter({kind: seen["heard"].get(kind, 0) for kind in sent}),
         slowest=min(walls[name] for its in names.values() for name in its) / seconds,
         agents_us=more / count * 1e6,
         router_us=router_s / count * 1e6,

@@ -292,7 +292,7 @@ def test_packages_that_are_late_for_five_seconds_show_a_step_and_before_that_non
 
 
 def test_a_second_that_was_late_from_end_to_end_is_left_out_and_no_other() -> None:
-    """By 5 ms, beside the 4 ms and a tick of before; the host's clock is slower by 150 ppm."""
+    """The bound grows by 5 ms over the 4 ms and a tick; the host's clock is 150 ppm slower."""
     clock = DeviceClock(TICK_HZ)
     for index in range(30 * 50):
         late = 0.004 * (index % 3 > 0) if index < 20 * 50 else 0.005 if index < 1075 else 0.0

@@ -261,7 +261,7 @@ def test_the_velocity_and_heading_on_a_circle_that_it_has_left_by_two_metres(
         abs=1e-4,
     )
     assert (guidance.vertical, guidance.yaw_mode) == (ModelVertical.HEIGHT, ModelYaw.ANGLE)
-    # The aircraft turns later than it is told to: by 1 / 2.0 and 0.15 s.
+    # The yaw follows its order 1 / 2.0 + 0.15 s late.
     wanted = 53.13 + (sign * off if mode == 0 else off) + (sign * 15.0 * 0.65 if mode < 3 else 0.0)
     assert math.remainder(math.degrees(guidance.yaw) - wanted, 360.0) == pytest.approx(0, abs=0.01)
     motion.velocity_north, motion.velocity_east = -1.0, 2.0
