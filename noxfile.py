@@ -14,6 +14,7 @@ import re
 import shutil
 import signal
 import subprocess
+import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -402,15 +403,18 @@ def run_all(session: nox.Session, commands: Commands) -> None:
 
     What computes comes first and is over before anything flies in real time, or has the priority of
     an idle machine: beside a type checker that had more, a flight came to stand for half a second,
-    which its guards end.
+    which its guards end. On a busy machine that priority is none: what has not ended beside the
+    flights begins again after them.
     """
-    lanes = [
-        ({t: commands[t] for t in titles if t in commands}, width)
-        for titles, width in (*LANES, (BESIDE, 2))
-    ]
-    computing = {t: commands[t] for t in commands if not any(t in lane for lane, _ in lanes)}
+    lanes = [({t: commands[t] for t in ts if t in commands}, width) for ts, width in LANES]
+    beside = {t: commands[t] for t in BESIDE if t in commands}
+    apart = {title for lane, _ in lanes for title in lane} | beside.keys()
+    computing = {t: commands[t] for t in commands if t not in apart}
     ended = side_by_side(session, (computing, 1 + (os.cpu_count() or 1)))
-    ended |= side_by_side(session, *lanes)
+    if any(lane for lane, _ in lanes):
+        ended |= side_by_side(session, *lanes, beside=beside)
+    rest = {t: beside[t] for t in beside if t not in ended}
+    ended |= side_by_side(session, (rest, len(BESIDE)))
     session.log("            on the clock, of the processors")
     for title, (is_good, lasted, taken) in ended.items():
         session.log(f"{'passed' if is_good else 'FAILED'} {lasted:8.0f} s {taken:8.0f} s  {title}")
@@ -418,30 +422,63 @@ def run_all(session: nox.Session, commands: Commands) -> None:
         session.error(f"failed: {', '.join(failed)}")
 
 
-def side_by_side(session: nox.Session, *lanes: tuple[Commands, int]) -> dict[str, Outcome]:
-    """Run commands in lanes, so many of each at once: how each ended, by title."""
+def side_by_side(
+    session: nox.Session, *lanes: tuple[Commands, int], beside: Commands | None = None
+) -> dict[str, Outcome]:
+    """Run commands in lanes, so many of each at once: how each ended, by title.
+
+    Args:
+        lanes: Commands, and how many of them run at once.
+        beside: What runs as long as these do, at the priority of an idle machine.
+    """
     started: list[subprocess.Popen[str]] = []
+    idlers: list[subprocess.Popen[str]] = []
+    over = threading.Event()
+    widths = (*(max(1, width) for _, width in lanes), len(BESIDE))
     with contextlib.ExitStack() as stack:
-        pools = [stack.enter_context(ThreadPoolExecutor(width)) for _, width in lanes]
+        *pools, aside = (stack.enter_context(ThreadPoolExecutor(width)) for width in widths)
         running = {
-            title: pool.submit(run_lines, session, started, lines, is_idle=title in BESIDE)
+            title: pool.submit(run_lines, session, started, lines)
             for pool, (commands, _) in zip(pools, lanes, strict=True)
             for title, lines in commands.items()
         }
+        idle = {
+            title: aside.submit(run_lines, session, idlers, lines, over)
+            for title, lines in (beside or {}).items()
+        }
         try:
-            return {title: work.result() for title, work in running.items()}
+            ended = {title: work.result() for title, work in running.items()}
+            over.set()
+            for process in idlers:
+                process.terminate()  # at their priority, to unwind from Ctrl-C would take minutes
+            ended |= {title: work.result() for title, work in idle.items()}
         except BaseException:  # Ctrl-C above all: nothing stays behind
-            for pool in pools:
+            over.set()
+            for pool in (*pools, aside):
                 pool.shutdown(wait=False, cancel_futures=True)
-            for process in started:
+            for process in started + idlers:
                 process.send_signal(signal.SIGINT)  # pytest ends what its tests have begun
             raise
+    return {title: outcome for title, outcome in ended.items() if outcome}
 
 
 def run_lines(
-    session: nox.Session, started: list[subprocess.Popen[str]], lines: list[Line], *, is_idle: bool
-) -> Outcome:
-    """Run programs of the session's environment, at the priority of an idle machine if wanted."""
+    session: nox.Session,
+    started: list[subprocess.Popen[str]],
+    lines: list[Line],
+    over: threading.Event | None = None,
+) -> Outcome | None:
+    """Run programs of the session's environment.
+
+    Args:
+        session: It says what they said.
+        started: Each process is entered here.
+        lines: The programs, one after another.
+        over: They have the priority of an idle machine until this is set, and end then.
+
+    Returns:
+        How they ended; None where `over` was set before.
+    """
     begun, taken = time.monotonic(), 0.0
     place = Path(session.bin)
     is_good = True
@@ -456,13 +493,17 @@ def run_lines(
             text=True,
         ) as process:
             started.append(process)
-            if is_idle and hasattr(os, "SCHED_IDLE"):
+            if over and hasattr(os, "SCHED_IDLE"):
                 os.sched_setscheduler(process.pid, os.SCHED_IDLE, os.sched_param(0))
+            if over and over.is_set():
+                process.terminate()
             assert process.stdout is not None
             output = process.stdout.read()
             _, status, used = os.wait4(process.pid, 0)
             process.returncode = os.waitstatus_to_exitcode(status)
         taken += used.ru_utime + used.ru_stime
+        if over and over.is_set() and process.returncode:
+            return None
         session.log(f"{' '.join(line)}: exit status {process.returncode}\n{output.rstrip()}")
         is_good &= process.returncode == 0
     return is_good, time.monotonic() - begun, taken
