@@ -201,10 +201,9 @@ async def download_waypoint_plan(requests: Requests) -> WaypointPlan:
     execute = partial(requests.execute, timeout=_TIMEOUT_S, tries=_TRIES, refusal=MissionRefused)
     head = await execute(WaypointDownloadMission())
     is_empty = head.code is MissionCode.SUCCESS and head.mission.count == 0
-    if is_empty or head.code is MissionCode.NO_MISSION:
-        raise mission_refused(what, MissionCode.NO_MISSION, remedy=_WHEN)
-    if head.code is not MissionCode.SUCCESS:
-        raise mission_refused(what, head.code)
+    code = MissionCode.NO_MISSION if is_empty else head.code
+    if code is not MissionCode.SUCCESS:
+        raise mission_refused(what, code, remedy=_WHEN if code is MissionCode.NO_MISSION else "")
     points = []
     for index in range(head.mission.count):
         answer = await execute(WaypointDownloadPoint(index))

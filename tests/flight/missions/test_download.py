@@ -42,6 +42,10 @@ async def test_a_waypoint_that_is_missing_is_named() -> None:
             with pytest.raises(MissionRefused) as caught:
                 await aircraft.download_waypoint_plan()
             assert (caught.value.code, caught.value.point) == (0xEB, 2)
+            there.missions.answers[0x14] = 0xD1
+            with pytest.raises(MissionRefused) as caught:
+                await aircraft.download_waypoint_plan()
+            assert (caught.value.code, "while it flies" in caught.value.remedy) == (0xD1, False)
             there.missions.flying = ""
 
 
