@@ -55,9 +55,9 @@ def test_a_push_that_is_old_is_not_believed_any_more() -> None:
     found, time = watch()
     found.on_status(told(MissionKind.WAYPOINT), time.now)
     time.now += BELIEVED_S
-    assert found.state.is_running
+    assert (found.state.is_running, found.flying) == (True, (MissionKind.WAYPOINT,))
     time.now += 0.1
-    assert not found.state.is_running
+    assert (found.state.is_running, found.flying) == (False, ())
 
 
 def test_late_pushes_of_a_mission_that_has_ended_are_not_a_new_one() -> None:

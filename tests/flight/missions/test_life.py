@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
 import itertools
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -22,6 +24,7 @@ from m100link.flight.missions.events import (
     RunState,
 )
 from m100link.flight.missions.mission_session import MissionSession
+from m100link.protocol.commands.missions import MissionStatus, WaypointStatus
 
 pytestmark = pytest.mark.anyio
 
@@ -88,12 +91,18 @@ def test_every_state_that_owes_a_stop_can_be_stopped() -> None:
 # -- what the aircraft tells of it, in each state --------------------------------------------------
 
 
-def mission(state: RunState, *, ends_by_landing: bool = False) -> MissionSession:
+def mission(
+    state: RunState,
+    *,
+    ends_by_landing: bool = False,
+    clock: Callable[[], float] = lambda: 100.0,
+    slack_s: float = 0.0,
+) -> MissionSession:
     """A waypoint mission in that state, which takes as news what it is pushed."""
     link = SimpleNamespace(
-        loop=SimpleNamespace(time=lambda: 100.0), latency=SimpleNamespace(slack_s=0.0)
+        loop=SimpleNamespace(time=clock), latency=SimpleNamespace(slack_s=slack_s)
     )
-    commander = SimpleNamespace(missions=MissionWatch(lambda: 100.0), link=link)
+    commander = SimpleNamespace(missions=MissionWatch(clock), link=link)
     block = SimpleNamespace(require_flying=lambda what: None)
     context = SimpleNamespace(commander=commander, block=block)
     track = SimpleNamespace(ends_by_landing=ends_by_landing, take=lambda push: [push], poll=None)
@@ -133,6 +142,29 @@ def test_what_is_told_in_each_state(state: RunState) -> None:
             assert failure is None, news
         assert one._early == [news] * (state is S.STARTING)
         assert one._is_seen_over is (state is S.STOPPING and is_end), news
+
+
+@pytest.mark.parametrize("slack_s", [0.0, 0.5])
+async def test_pushes_behind_an_end_are_waited_for_and_contradict_it(slack_s: float) -> None:
+    """For 1.3 s and within 3 s of it, on a slow line for so much longer; where any are pushed."""
+    clock = asyncio.get_running_loop().time
+    silent = mission(S.OVER, clock=clock, slack_s=slack_s)
+    silent.ending.tell()
+    await silent.ending.require_over()
+    assert clock() == silent.ending.over_at
+    flying = MissionStatus(WaypointStatus(0, status=1))
+    for since, flies_on in ((2.9, True), (3.1, False)):
+        one = mission(S.OVER, clock=clock, slack_s=slack_s)
+        watch = one._context.commander.missions
+        watch.on_status(flying, clock())
+        assert not one.flies_all_the_same, "it never began: somebody else's"
+        one.ending.tell()
+        await one.ending.require_over()
+        assert clock() - one.ending.over_at == pytest.approx(1.3 + slack_s, abs=0.03)
+        watch._reported.clear()
+        await asyncio.sleep(one.ending.over_at + since + slack_s - clock())
+        watch.on_status(flying, clock())
+        assert one.flies_all_the_same is flies_on
 
 
 @pytest.mark.parametrize("state", S, ids=lambda s: s.name)

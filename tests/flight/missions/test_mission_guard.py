@@ -446,11 +446,16 @@ async def test_who_flies_what_is_owed_and_who_is_told(
     for is_landing in (False, True):
         # A landing is the last means against a mission that a stop did not end.
         if flies and not (is_landing and state is RunState.UNSTOPPED):
-            with pytest.raises(MissionRunning, match=f"while a {flies} flies"):
+            with pytest.raises(MissionRunning, match=f"while a {flies} flies") as caught:
                 guard.require_none("a take-off", is_landing=is_landing)
+            assert caught.value.remedy.count("mission.stop()" if is_ours else "stop_mission()") == 1
         else:
             guard.require_none("a take-off", is_landing=is_landing)
 
+    if state is RunState.READY and not is_pushed:
+        with pytest.raises(UsageError, match="another mission is being prepared"):
+            guard.claim(cast(Any, Ours(RunState.READY)))
+        assert cast(Any, guard._run) is ours
     if is_ours:
         assert ours is not None
         assert await guard.order_any("pause") is MissionKind.WAYPOINT
@@ -496,13 +501,16 @@ async def test_what_is_pushed_3_s_after_a_stop_is_another_mission(pushed_at: flo
         beside.guard.require_none("a landing", is_landing=True)
 
 
-async def test_what_was_detached_is_left_in_flight_until_pushes_tell_its_end() -> None:
-    """A push of its first second may be from before its start."""
-    beside = Beside(RunState.DETACHED, is_pushed=False)
+@pytest.mark.parametrize("slack_s", [0.0, 0.5])
+async def test_what_was_detached_is_left_in_flight_until_pushes_tell_its_end(
+    slack_s: float,
+) -> None:
+    """A push of its first second may be from before its start, and on a slow line a later one."""
+    beside = Beside(RunState.DETACHED, is_pushed=False, slack_s=slack_s)
     assert beside.guard.is_detached
-    for at, is_detached in ((100.5, True), (100.9, True), (101.1, False)):
-        beside.push(IdleStatus(), at)
-        beside.now = at + 0.1
+    for after, is_detached in ((0.5, True), (0.9 + slack_s, True), (1.1 + slack_s, False)):
+        beside.push(IdleStatus(), 100.0 + after)
+        beside.now = 100.1 + after
         assert beside.guard.is_detached is is_detached
 
 

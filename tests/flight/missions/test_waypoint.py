@@ -7,6 +7,7 @@ import asyncio
 import pytest
 
 from m100link import (
+    BadAck,
     Finished,
     MissionProgress,
     MissionRefused,
@@ -42,10 +43,11 @@ async def test_a_plan_is_uploaded_flown_and_reported_in_order() -> None:
         assert [e.index for e in steps if isinstance(e, Reached)] == [0, 1, 2, 3]
         assert isinstance(steps[-1], Finished)
         told = [event.elapsed for event in events if isinstance(event, MissionProgress)]
-        assert told == pytest.approx([0.2 + second for second in range(len(told))], abs=0.5)
+        assert told == pytest.approx([0.2, *range(1, len(told))], abs=0.1)
         assert mission.is_over
         control.send(NORTH)  # the aircraft is the program's again
-    assert orders(there, 0x12) == [(0x12, 0)], "a mission that has ended needs no stop"
+    needless = "an end needs no stop, and what is pushed is not asked for"
+    assert orders(there, 0x12, 0x14) == [(0x12, 0)], needless
 
 
 async def test_a_name_of_a_file_is_not_a_plan() -> None:
@@ -123,19 +125,25 @@ async def test_another_speed_is_the_one_that_the_aircraft_says() -> None:
 
 async def test_a_refusal_names_the_waypoint_and_nothing_flies() -> None:
     async with foreign() as (there, aircraft), aircraft.control() as control:
-        there.missions.answers[0x11] = 0xE1
-        with pytest.raises(MissionRefused) as caught:
+        missions, refused = there.missions, dict[int, int]()
+        add = missions._add_point
+        missions._add_point = lambda value: refused.get(value[0]) or add(value)  # type: ignore[method-assign]
+        for answers, of_points, point in (
+            ({0x11: 0xE1}, {}, 0),
+            ({0x10: 0xE1}, {}, None),
+            ({0x12: 0xC9}, {}, None),
+            ({}, {3: 0xE8}, 3),
+            ({}, {3: 0xE5}, None),  # of the last one, and about the whole
+        ):
+            missions.answers = answers
+            refused |= of_points
+            with pytest.raises(MissionRefused) as caught:
+                async with control.waypoint_mission(plan()):
+                    pytest.fail("entered")
+            [code] = [*answers.values(), *of_points.values()]
+            assert (caught.value.code, caught.value.point) == (code, point)
+        missions._tail = lambda number, value: b"\x07" if number == 0x11 else value[:0]  # type: ignore[method-assign]
+        with pytest.raises(BadAck, match="waypoint 0 was acknowledged as waypoint 7"):
             async with control.waypoint_mission(plan()):
                 pytest.fail("entered")
-        assert (caught.value.code, caught.value.point) == (0xE1, 0)
-        there.missions.answers = {0x10: 0xE1}
-        with pytest.raises(MissionRefused) as caught:
-            async with control.waypoint_mission(plan()):
-                pytest.fail("entered")
-        assert (caught.value.code, caught.value.point) == (0xE1, None)
-        there.missions.answers = {0x12: 0xC9}
-        with pytest.raises(MissionRefused) as caught:
-            async with control.waypoint_mission(plan()):
-                pytest.fail("entered")
-        assert caught.value.code == 0xC9
         control.send(NORTH)
