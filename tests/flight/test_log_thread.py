@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import os
 import subprocess
@@ -9,11 +10,13 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from unittest.mock import MagicMock
 
 import pytest
 
 from m100link.flight import reserves as log_thread
 from m100link.flight.reserves import MOST_WAITING, LogThread
+from m100link.sim import VirtualClockEventLoop
 from tests.waiting import PATIENCE
 
 NAME = "m100link.flight.block"
@@ -132,13 +135,14 @@ def test_a_handler_that_raises_costs_its_record_and_that_is_said(
         raise error
 
     thread.hold()
+    thread.dropped = 3  # before that
     heard.do = fail
     log("one")
     log("two")
     thread.release()
     assert [text for text, _ in heard.told] == ["one", "two"], "the thread goes on"
     assert thread.failed == 2
-    assert "2 log records of flights were lost" in capfd.readouterr().err
+    assert "5 log records of flights were lost" in capfd.readouterr().err
     assert error.__name__ in thread._lost or thread._lost == ""
 
 
@@ -177,6 +181,21 @@ def test_where_time_is_simulated_the_caller_waits_for_its_handlers(
     assert [text for text, _ in heard.told] in (["one"], ["one", "two"])
     thread.release()
     thread.release()
+
+
+def test_a_loop_with_a_clock_of_its_own_simulates_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    held = MagicMock()
+    monkeypatch.setattr(log_thread, "LOG_THREAD", held)
+
+    async def fly() -> None:
+        log_thread.reserve("control", fly)
+        log_thread.free(fly)
+
+    for make in (asyncio.new_event_loop, VirtualClockEventLoop):
+        with asyncio.Runner(loop_factory=make) as runner:
+            runner.run(fly())
+    assert [one.kwargs["is_simulated"] for one in held.hold.mock_calls] == [False, True]
+    assert held.release.call_count == 2
 
 
 def test_the_child_of_a_fork_logs_by_itself() -> None:

@@ -29,6 +29,7 @@ from m100link import (
     UsageError,
 )
 from m100link.flight import virtual_rc
+from m100link.flight.lifecycle import StopCause
 from m100link.flight.tasks import Deflections
 from m100link.flight.virtual_rc import VirtualRc
 from m100link.protocol.codes import VersionCode
@@ -211,6 +212,16 @@ async def test_an_exception_ends_it(flown: Rig) -> None:
     with pytest.raises(KeyError):
         await fly_for_ever(flown, KeyError("mine"))
     assert_ended_well(flown)
+
+
+async def test_one_that_ends_before_it_is_on_is_not_entered() -> None:
+    async with rig(firmware="3.1", assistant=SHOWN) as flown:
+        rc = flown.aircraft.virtual_rc()
+        asyncio.get_running_loop().call_later(0.01, rc._end, StopCause.LEFT)
+        with pytest.raises(asyncio.CancelledError):
+            async with rc:
+                pytest.fail("entered")
+        assert (switches(flown), sticks(flown)) == ([], [])
 
 
 @pytest.mark.parametrize("after", [0.0, 0.5, 1.0, 2.1, 2.25, 2.5, 3.0, 4.0, 5.0, 7.3])
