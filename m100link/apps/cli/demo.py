@@ -14,7 +14,7 @@ import sys
 import time
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
-from itertools import pairwise
+from itertools import pairwise, starmap
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -95,13 +95,11 @@ class _Flight:
     def returned_within_m(self) -> float:
         if not self.track:
             return math.inf
-        (n0, e0), (n1, e1) = self.track[0], self.track[-1]
-        return math.hypot(n1 - n0, e1 - e0)
+        return math.dist(self.track[0], self.track[-1])
 
     @property
     def path_length_m(self) -> float:
-        legs = pairwise(self.track)
-        return sum(math.hypot(n1 - n0, e1 - e0) for (n0, e0), (n1, e1) in legs)
+        return sum(starmap(math.dist, pairwise(self.track)))
 
 
 def _is_speed(_: object, speed: float | str) -> None:

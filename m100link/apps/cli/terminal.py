@@ -60,7 +60,7 @@ def _replacement(character: str) -> str:
     code = ord(character)
     if code not in _BRAILLE:
         return _ASCII.get(character, "?")
-    return (" ", "'", ".", ":")[bool(code & _UPPER) + 2 * bool(code & _LOWER)]
+    return ((" ", "."), ("'", ":"))[bool(code & _UPPER)][bool(code & _LOWER)]
 
 
 codecs.register_error("m100link.ascii", _in_ascii)

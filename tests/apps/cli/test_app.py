@@ -16,9 +16,10 @@ import sys
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
+from typing import cast
 
 import pytest
-from cyclopts import App
+from cyclopts import App, Group
 
 import m100link
 from m100link.apps.cli import connection, end_at_once
@@ -282,6 +283,7 @@ def test_an_option_has_one_meaning_one_type_and_one_sentence_in_the_whole_progra
     # It reads the sources of classes for texts that none of ours has, for half of the time.
     monkeypatch.setattr("docstring_parser.parser.add_attribute_docstrings", lambda *_: None)
     seen: dict[str, set[tuple[object, ...]]] = {}
+    without_title = Counter[str]()
     for verb, found in verbs():
         arguments = found.assemble_argument_collection(
             default_parameter=app.default_parameter, parse_docstring=True
@@ -293,6 +295,9 @@ def test_an_option_has_one_meaning_one_type_and_one_sentence_in_the_whole_progra
                 assert argument.parameter.help, f"{verb} --help does not say what {name} is"
                 kind = named(argument.hint).replace(" | None", "")
                 seen.setdefault(name, set()).add((argument.names, kind, argument.parameter.help))
+                groups = cast("tuple[Group, ...]", argument.parameter.group)
+                without_title[verb] += "Parameters" in [group.name for group in groups]
+    assert max(without_title.values()) <= 10, "more need a panel with a title"
     assert {name for name, told in seen.items() if len(told) > 1} == HOMONYMS.keys()
 
 

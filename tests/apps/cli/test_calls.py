@@ -14,6 +14,7 @@ import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import asdict, replace
+from errno import ENOSPC, EPIPE
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -21,8 +22,8 @@ from typing import Any, cast
 
 import pytest
 
-from m100link.apps.cli import fleet_plans, fleet_setup, fleet_verbs, flight, serve, sim
-from m100link.apps.cli.terminal import ExitCode
+from m100link.apps.cli import fleet_plans, fleet_setup, fleet_verbs, flight, log, serve, sim
+from m100link.apps.cli.terminal import ExitCode, ReaderGone
 from m100link.apps.fleet.logs.fetching import Fetched
 from m100link.apps.fleet.lost_link import LostLinkPlan
 from m100link.apps.fleet.payloads import Card, MissionCard, MissionStage, Result, ShowStage
@@ -30,7 +31,7 @@ from m100link.apps.fleet.show.conductor import Part
 from m100link.apps.station.config import Settings
 from m100link.apps.station.fleet import default_order_logs
 from m100link.apps.station.fleet_file import FleetFault
-from m100link.errors import MissionRefused
+from m100link.errors import LinkError, MissionRefused
 from m100link.flight.control import Control
 from m100link.flight.mission_state import MissionKind
 from m100link.flight.missions.events import ActionsDone, Finished, Reached
@@ -360,6 +361,26 @@ def test_how_it_is_connected(
     assert notes[0] == f"connect({HERE!r}, {settings})"
 
 
+@pytest.mark.parametrize("words", ["hz", "monitor", "record", "record full"])
+def test_what_watches_a_line_that_is_lost_ends_with_its_error(
+    aircraft: Any,
+    cli: CommandLine,
+    notes: Notes,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    words: str,
+) -> None:
+    """A script that records goes on by the exit status. Why nothing was written comes first."""
+    lost, full = LinkError("it went away"), OSError("no space") if "full" in words else None
+    aircraft.link = SimpleNamespace(is_open=False, failure=lost)
+    aircraft.wait_closed = notes.awaited(lost, "wait_closed")["wait_closed"]
+    recorder = SimpleNamespace(path=tmp_path / "x", failure=full, **notes.awaited(None, "aclose"))
+    monkeypatch.setattr(log, "Recorder", lambda *_, **__: recorder)
+    outcome = cli(*words.removesuffix(" full").split())
+    assert outcome.status == (ExitCode.USAGE if full else ExitCode.PORT), outcome
+    assert ("recording ended early: no space" if full else "it went away") in outcome.err
+
+
 # -- a fleet --------------------------------------------------------------------------------------
 
 
@@ -572,6 +593,36 @@ def test_whose_fleet_it_is(cli: CommandLine, notes: Notes) -> None:
 def test_what_no_fleet_is_asked(cli: CommandLine, notes: Notes, words: str, says: str) -> None:
     outcome = cli("fleet", *words.split())
     assert (outcome.status, notes) == (ExitCode.USAGE, [])
+    assert says in outcome.err
+
+
+@pytest.mark.usefixtures("fleet")
+@pytest.mark.parametrize(
+    ("name", "number", "status", "says"),
+    [
+        ("a1", EPIPE, ExitCode.OK, ""),
+        ("a1", ENOSPC, ExitCode.FAILED, "standard output takes no more: it is so"),
+        ("a3", None, ExitCode.FAILED, "no package of a3 came that can be read"),
+    ],
+)
+def test_a_fleet_is_watched_until_nobody_reads_it(
+    cli: CommandLine,
+    monkeypatch: pytest.MonkeyPatch,
+    name: str,
+    number: int | None,
+    status: int,
+    says: str,
+) -> None:
+    printed: list[dict[str, Any]] = []
+
+    def print_json(package: dict[str, Any]) -> None:
+        printed.append(package)
+        if number is not None:
+            raise ReaderGone(number, "it is so")
+
+    monkeypatch.setattr(fleet_verbs, "print_json", print_json)
+    outcome = cli("fleet", "watch", name)
+    assert (outcome.status, len(printed)) == (status, 2 if number is None else 1)
     assert says in outcome.err
 
 

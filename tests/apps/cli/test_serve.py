@@ -107,6 +107,7 @@ def test_settings_are_shown_with_their_origin(tmp_path: Path) -> None:
         (("serve",), "no aircraft was named"),
         (("serve", "simm://"), "there is no transport called 'simm'"),
         (("serve", "one=sim://", "two=simm://"), "there is no transport called 'simm'"),
+        (("serve", "a=sim://", "b=sim://", "--single-process"), "one process has one aircraft"),
         (("mavlink", "simm://"), "there is no transport called 'simm'"),
         (("ros2", "simm://"), "there is no transport called 'simm'"),
         (("ros2", "sim://", "--node", "a b"), "cannot be part of a name in ROS"),

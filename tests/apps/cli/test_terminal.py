@@ -291,9 +291,13 @@ def test_what_is_typed_is_read_whole(
     reading, writing = os.pipe()
     os.write(writing, typed)
     os.close(writing)
+
+    async def read() -> tuple[str, bool]:
+        return await read_line(), asyncio.get_running_loop().remove_reader(reading)
+
     with os.fdopen(reading) as stdin:
         monkeypatch.setattr(sys, "stdin", stdin)
-        assert asyncio.run(read_line()) == line
+        assert asyncio.run(read()) == (line, False)  # nobody reads the next line in its place
 
 
 def test_ctrl_c_that_interrupts_no_wait_ends_a_question_all_the_same(

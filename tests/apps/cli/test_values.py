@@ -846,7 +846,7 @@ def test_nothing_is_shown_where_nobody_looks(said: Any, monkeypatch: pytest.Monk
         ((), "no action was given"),
         (("sim://",), "no action was given"),
         (("explode",), "the camera has no action 'explode'"),
-        (("sim://", "explode"), "the camera has no action 'explode'"),
+        (("sim://", "explode", "now"), "the camera has no action 'explode'"),
         (("photo", "photo"), "2 actions were given: photo photo"),
         (("photo", "sim://"), "'photo sim://' is not an aircraft and an action"),
         (("a", "b", "photo"), "'a b photo' is not an aircraft and an action"),
