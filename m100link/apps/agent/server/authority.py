@@ -243,10 +243,10 @@ class AuthorityManager:
                 if is_on_ground(aircraft.state):
                     raise
                 # A landing must not need a process that the system refuses.
-                text = f"{error.seen}; in the air control is obtained without a guardian"
+                text = f"{error.seen}; control without a guardian lands or flies home, no more"
                 self._journal.note(text, "error")
                 async with aircraft.control(guards=self._guards, guardian=False) as control:
-                    await self._use(control, granted)
+                    await self._use(control, granted, only_ends=True)
             self.feed(HoldingInput.ENDED)
             left = "control authority released", "info"
             self._journal.note(*_LEFT.get(aircraft.authority.state, left))
@@ -272,8 +272,11 @@ class AuthorityManager:
             self.feed(HoldingInput.ENDED)  # nothing holds it now, whatever ended the block
             self._tell_mission("the agent ends")
 
-    async def _use(self, control: Control, granted: asyncio.Future[None]) -> None:
+    async def _use(
+        self, control: Control, granted: asyncio.Future[None], *, only_ends: bool = False
+    ) -> None:
         flying = self.flying = ActiveFlight(control, self._journal, self._background)
+        flying.only_ends = only_ends
         flying.mission.on_event = self.on_mission_event
         try:
             self.feed(HoldingInput.OBTAINED)
@@ -349,10 +352,6 @@ class AuthorityManager:
 _PAUSE_S = 1.0  # after a release that the aircraft did not confirm
 
 
-def _now() -> float:
-    return asyncio.get_running_loop().time()
-
-
 class Owed(IntEnum):
     """Whether a release is owed, and from when on."""
 
@@ -392,7 +391,7 @@ class OrphanedAuthority:
 
     def look(self, least: Owed) -> None:
         """Ask for it to go back, where at least that much is owed."""
-        is_due = self.owed >= least and _now() >= self._again_at
+        is_due = self.owed >= least and asyncio.get_running_loop().time() >= self._again_at
         if is_due and self._aircraft is not None and self.work is None:
             work = self._give_back(self._aircraft)
             self.work = self._background.spawn(work, "inherited authority")
@@ -436,7 +435,7 @@ class OrphanedAuthority:
                     "error",
                 )
         finally:
-            self.work, self._again_at = None, _now() + _PAUSE_S
+            self.work, self._again_at = None, asyncio.get_running_loop().time() + _PAUSE_S
 
 
 # -- the activation of the aircraft for one app, and how the last one went -------------------------

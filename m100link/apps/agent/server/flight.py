@@ -63,6 +63,7 @@ class ActiveFlight:
         self._pattern: tuple[str, asyncio.Task[None]] | None = None
         self._has_armed = False  # the motors, or is about to
         self._is_ended = False
+        self.only_ends = False  # no guardian could be started: a flight may only be ended
 
     @property
     def has_authority(self) -> bool:
@@ -336,14 +337,10 @@ class ActiveFlight:
 def limits_of(guards: Guards, origin: tuple[float, float] | None) -> GuardLimits:
     """Guards as a front gets them, with latitude and longitude of the start, °."""
     envelope = guards.envelope
-    height, radius, speed = (
-        (None, None, None)
-        if envelope is None
-        else [
-            limit if math.isfinite(limit) else None
-            for limit in (envelope.max_height_m, envelope.max_radius_m, envelope.max_speed_m_s)
-        ]
-    )
+    limits = [math.inf] * 3
+    if envelope is not None:
+        limits = [envelope.max_height_m, envelope.max_radius_m, envelope.max_speed_m_s]
+    height, radius, speed = (limit if math.isfinite(limit) else None for limit in limits)
     latitude, longitude = origin if origin is not None else (None, None)
     return GuardLimits(height, radius, speed, guards.battery_floor_percent, latitude, longitude)
 
@@ -490,9 +487,8 @@ def _left(order: orders.GuidedOrder, found: GuidanceProgress) -> tuple[float | N
     """Metres and seconds that remain, roughly."""
     climbing = foresight.seconds_climbing(found.height_error_m)
     if isinstance(order, orders.FlyTo):
-        return found.distance_m, max(
-            foresight.seconds_straight(found.distance_m, order.speed), climbing
-        )
+        straight = foresight.seconds_straight(found.distance_m, order.speed)
+        return found.distance_m, max(straight, climbing)
     if isinstance(order, orders.FlyAround):
         turns = max(0.0, found.heading_error_deg) / 360.0
         far = found.distance_m + math.tau * order.radius * turns
@@ -547,10 +543,6 @@ async def _fly_legs(control: Control, send: Send, mode: int, seconds: float) -> 
         send(legs[int(tick.elapsed / LEG_TIME) % len(legs)])
 
 
-async def _legs_for_ever(control: Control, send: Send, mode: int) -> None:
-    await _fly_legs(control, send, mode, float("inf"))
-
-
 async def _commands(control: Control, send: Send) -> None:
     while True:
         await control.take_off()
@@ -576,8 +568,8 @@ def pattern(number: int) -> Pattern:
             remedy="use a test rig; see the virtual aircraft's line faults",
         )
     programs: dict[int, Pattern] = {
-        0: lambda control, send: _legs_for_ever(control, send, orders.ANGLE_MODE),
-        1: lambda control, send: _legs_for_ever(control, send, orders.VELOCITY_MODE),
+        0: lambda control, send: _fly_legs(control, send, orders.ANGLE_MODE, math.inf),
+        1: lambda control, send: _fly_legs(control, send, orders.VELOCITY_MODE, math.inf),
         2: _commands,
         4: _everything,
     }

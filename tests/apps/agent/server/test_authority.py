@@ -15,7 +15,7 @@ import pytest
 
 from m100link.aircraft import Aircraft
 from m100link.apps.agent import orders
-from m100link.apps.agent.background import TaskSet
+from m100link.apps.agent.background import TaskSet, ignore
 from m100link.apps.agent.lease import Flown, LeaseRefused
 from m100link.apps.agent.messages import GuardLimits, Journal
 from m100link.apps.agent.server.agent import Agent
@@ -24,6 +24,7 @@ from m100link.apps.agent.server.connection import ConnectionState, by_driver
 from m100link.errors import (
     AuthorityRefused,
     GuardianFailed,
+    GuardRefused,
     LinkError,
     NoAuthority,
     NotObserved,
@@ -130,9 +131,18 @@ async def test_a_release_that_nobody_answers_is_not_noted_as_one(rig: Rig) -> No
     assert "may not be released" in rig.agent.journal.events[-1].text
 
 
-@pytest.mark.parametrize("flies", [True, False])
+# Orders that begin, or go on with, a movement that no guardian would end.
+UNGUARDED_REFUSED: tuple[type[orders.Order], ...] = (
+    *(orders.TakeOff, orders.StartMotors, orders.FlyPattern, orders.StartMission),
+    *(orders.ResumeMission, orders.SetMissionSpeed, orders.StartHotpoint, orders.SetHotpointRadius),
+    *(orders.SetHotpointRate, orders.ResetHotpointHeading, orders.FlyTo, orders.FlyAround),
+    *(orders.ChangeHeight, orders.ChangeHeading),
+)
+
+
+@pytest.mark.parametrize("down", [orders.Land(), orders.GoHome(), None])
 async def test_an_aircraft_that_flies_is_landed_where_no_guardian_can_be_started(
-    rig: Rig, monkeypatch: pytest.MonkeyPatch, flies: bool
+    rig: Rig, monkeypatch: pytest.MonkeyPatch, down: orders.Order | None
 ) -> None:
     """No descriptor, no process, no Python any more: on the ground no flight begins so."""
 
@@ -140,11 +150,11 @@ async def test_an_aircraft_that_flies_is_landed_where_no_guardian_can_be_started
         if self._is_asked_for:
             raise GuardianFailed("the guardian did not start: Too many open files")
 
-    if flies:
+    if down is not None:
         await airborne(rig)
         await rig.agent.ask(orders.Release(), rig.token)
     monkeypatch.setattr(Guardian, "start", start)
-    if not flies:
+    if down is None:
         with pytest.raises(GuardianFailed):
             await rig.agent.ask(orders.Obtain(), rig.token)
         assert rig.holding.state is S.NONE
@@ -152,9 +162,20 @@ async def test_an_aircraft_that_flies_is_landed_where_no_guardian_can_be_started
     await rig.agent.ask(orders.Obtain(), rig.token)
     texts = [event.text for event in rig.agent.journal.events if event.level == "error"]
     seen = "the guardian did not start: Too many open files"
-    assert texts == [f"{seen}; in the air control is obtained without a guardian"]
-    await rig.agent.ask(orders.Land(), rig.token)
+    assert texts == [f"{seen}; control without a guardian lands or flies home, no more"]
+    for kind in UNGUARDED_REFUSED:  # its values are not looked at
+        with pytest.raises(GuardRefused, match=f"{kind.label} is not flown") as caught:
+            rig.agent.begin(kind.__new__(kind), rig.token, ignore)
+        assert caught.value.guard == "guardian"
+    with pytest.raises(GuardRefused, match="no guardian watches this flight; a setpoint"):
+        rig.agent.steer(rig.token, orders.setpoint_of(orders.VELOCITY_MODE, 0.0, 1.0, 0.0, 0.0))
+    await rig.agent.ask(down, rig.token)
     assert rig.aircraft.height == pytest.approx(0.0, abs=0.1)
+    with pytest.raises(GuardRefused, match="take off is not flown"):
+        await rig.agent.ask(orders.TakeOff(), rig.token)
+    await rig.agent.ask(orders.Release(), rig.token)
+    with pytest.raises(GuardianFailed):  # it stands: control as ever, or none
+        await rig.agent.ask(orders.Obtain(), rig.token)
 
 
 async def test_two_that_ask_at_once_ask_the_aircraft_once(rig: Rig) -> None:
