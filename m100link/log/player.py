@@ -189,8 +189,7 @@ class Player:
         self._next: Chunk | Message | None = None
         self._frames: deque[tuple[Frame, float]] = deque()  # of the newest read
         self._timer: asyncio.Handle | None = None
-        # Between which recorded times it plays, and the fault that broke it off; set on opening.
-        self._since, self._until, self._broken = -math.inf, math.inf, ""
+        self._broken = ""  # the fault that broke it off
         self._waits = 0  # for room, since there was some
         self._begins_by = 0.0
         self.run_began_at = self.time()  #: packages of an earlier time are void, s by :meth:`time`
@@ -262,9 +261,10 @@ class Player:
 
     def _open(self, stage: PlaybackTarget) -> None:
         """Stand where it begins, with who had control there."""
-        since = self._since = self.begin.at + self._from - RUN_UP_S
-        self._until, self._broken = self.begin.at + self._to, ""
-        self._moments = self.flight.moments(since_utc=since + self.begin.utc - self.begin.at - 1.0)
+        since = self.begin.at + self._from - RUN_UP_S
+        self._broken = ""
+        moments = self.flight.moments(since_utc=since + self.begin.utc - self.begin.at - 1.0)
+        self._moments = (moment for moment in moments if moment.at >= since)
         stage.forget()
         for message in self.begin.events:
             if message.at < since:
@@ -300,13 +300,13 @@ class Player:
         """Look at the next moment; what cannot be read ends it."""
         self._next = None
         try:
-            for moment in self._moments:
-                if moment.at >= self._since:
-                    self._next = moment if moment.at <= self._until else None
-                    return
+            moment = next(self._moments, None)
         except (OSError, UsageError) as error:
             why = error.seen if isinstance(error, UsageError) else error.strerror
             self._broken = f"it cannot be read any further: {why}"
+        else:
+            if moment is not None and moment.at <= self.begin.at + self._to:
+                self._next = moment
 
     def _schedule(self, delay: float | None = None) -> None:
         """Have the next moment come when it is due."""

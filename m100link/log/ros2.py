@@ -481,15 +481,13 @@ def write_bag(
 def _messages(
     flight: FlightLog, firmware: str | FirmwareProfile | None
 ) -> Iterator[tuple[str, int, bytes]]:
-    offset = None
     for message in flight.messages(COMMAND, EVENT):
         text = encode("std_msgs/String", {"data": message.data.decode("utf-8", "replace")})
         yield "/m100/events", max(0, round(message.utc * 1e9)), text
-    for message in flight.messages():
-        offset = message.utc - message.at
-        break
-    if offset is None:
+    first = next(flight.messages(), None)
+    if first is None:
         return
+    offset = first.utc - first.at
     for sample in flight.samples(firmware=firmware):
         at_ns = max(0, round((sample.received_at + offset) * 1e9))
         for topic, data in _messages_of(sample, divmod(at_ns, 10**9)):

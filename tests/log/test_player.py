@@ -18,6 +18,7 @@ from m100link.log import read
 from m100link.log.damage import Damage
 from m100link.log.player import RUN_UP_S, Begin, PlaybackTarget, Player, begin_of
 from m100link.log.reading import Chunk, Message
+from m100link.sim import VirtualClockEventLoop
 from m100link.wire import Frame, FrameDecoder
 from tests.log.flight import flown
 
@@ -66,6 +67,12 @@ async def test_its_clock_begins_where_that_of_the_event_loop_stands(
     begun = Player(player.flight, player.begin, from_s=from_s)
     assert (begun.time(), begun.position_s) == pytest.approx((now, from_s))
     assert begun.utc_offset_s == pytest.approx(player.begin.utc + from_s - now, abs=0.001)
+    begun.seek(7.0)
+    moved = begun.position_s, begun.time()
+    assert moved == pytest.approx((7.0, now + 2.501)), "before it is played: behind its run-up"
+    player.flight.path.unlink()
+    with pytest.raises(UsageError, match="cannot be read: No such file"):
+        await begin_of(player.flight)
 
 
 async def test_its_clock_is_so_many_times_as_fast_and_stops_where_something_is_due(
@@ -327,7 +334,9 @@ async def test_what_was_before_and_the_run_up_come_at_once_and_the_rest_in_its_t
     await asyncio.sleep(0.01)
     assert (one.asked, one.forgotten) == ([0.5], 1), "a second before the run-up, by the calendar"
     assert one.order == ["early", 20, "run-up", 30]
-    await asyncio.sleep(5.0)
+    await asyncio.sleep(1.98)
+    assert one.ends == [], "four seconds at double speed, silence at the end or not"
+    await asyncio.sleep(3.0)
     times = {str(what[1] if isinstance(what, tuple) else what): now for now, what in one.told}
     assert times["30"] < 0.01
     assert (times["50"], times["later"]) == pytest.approx((0.5, 1.0), abs=0.002)
@@ -338,6 +347,24 @@ async def test_what_was_before_and_the_run_up_come_at_once_and_the_rest_in_its_t
     assert one.taps == [(RX, -2.0), (RX, -1.0), (TX, 0.5), (RX, 1.0)]
     seen = "the recording flight.mcap has ended, after 8.0 s"
     assert one.ends == [(seen, "it was played to where its end was asked for")]
+
+
+@pytest.mark.parametrize(
+    ("busy_s", "times"), [(0.2, (0.6, 1.0)), (1.0, (1.4, 1.9))], ids=["caught up", "not caught up"]
+)
+async def test_what_a_busy_computer_delays_by_more_than_a_quarter_second_stays_later(
+    busy_s: float, times: tuple[float, float]
+) -> None:
+    """At double speed the fifth second is due after half a second, the sixth after one."""
+    loop = asyncio.get_running_loop()
+    assert isinstance(loop, VirtualClockEventLoop)
+    await asyncio.sleep(500.0)
+    one = Played(speed=2.0, from_s=4.0)
+    await asyncio.sleep(0.4)
+    loop._jumping.now += busy_s
+    await asyncio.sleep(4.0)
+    at = {str(what[1] if isinstance(what, tuple) else what): now for now, what in one.told}
+    assert (at["50"], at["later"]) == pytest.approx(times, abs=0.002)
 
 
 @pytest.mark.parametrize(
@@ -373,10 +400,21 @@ async def test_as_fast_as_it_is_taken_waits_a_second_for_its_taker(
 
 
 async def test_as_fast_as_it_is_taken_overtakes_no_taker() -> None:
-    one = Played(speed=math.inf)
-    one.room = 0.0
+    one, asked, rooms = Played(speed=math.inf), list[float](), list[float]()
+
+    def room() -> float:
+        asked.append(one.clock())
+        return rooms.pop() if rooms else one.room
+
+    assert one.player._stage is not None
+    one.player._stage, one.room = one.player._stage._replace(room=room), 0.0
     await asyncio.sleep(2.0)
     assert one.order == ["early"], "telemetry waits, events before it do not"
+    assert one.player.position_s == pytest.approx(1.0), "nor does its clock go on"
+    assert asked.count(asked[0]) == 21, "turns of the event loop in which it may be taken"
+    rooms.append(3.0)
+    await asyncio.sleep(0.1)
+    assert one.order == ["early", 10, 20, "run-up", 30]
     one.room = 1.0
     await asyncio.sleep(0.1)
     assert one.order == ["early", 10, 20, "run-up", 30, 50, "later", 90]

@@ -286,7 +286,10 @@ def test_a_summary_begins_with_the_first_moment_and_ends_with_the_last(tmp_path:
     assert found.messages == {RX: 2, "/m100/raw/tx": 1, CHUNKS: 3, "/m100/event": 1, LINK: 1}
     assert (found.firmware, found.acceleration, found.is_whole) == ("3.1", "raw", True)
     assert read(log.path, acceleration="fused").summary().acceleration == "fused"
-    nothing = read(made(tmp_path / "empty.mcap")).summary()
+    empty = read(made(tmp_path / "empty.mcap"))
+    with pytest.raises(UsageError, match="does not say which firmware"):
+        empty.samples()
+    nothing = empty.summary()
     assert (nothing.began_utc, nothing.duration_s, nothing.firmware) == (None, 0.0, None)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, cast
@@ -110,9 +111,9 @@ class KnownLog:
     def __init__(self, *packages: dict[str, Any]) -> None:
         self.packages = packages
 
-    def messages(self, *topics: str) -> list[Any]:
+    def messages(self, *topics: str) -> Iterator[Any]:
         utc = 1_800_000_004.25
-        return [SimpleNamespace(utc=utc, at=4.25, data=b"a bird")]
+        return iter([SimpleNamespace(utc=utc, at=4.25, data=b"a bird")])
 
     def samples(self, *, firmware: object) -> list[Any]:
         return [sample(at=4.25 + 0.25 * place, **one) for place, one in enumerate(self.packages)]
@@ -126,7 +127,8 @@ def read_known(path: Path, *packages: dict[str, Any]) -> dict[str, list[dict[str
         write_bag(cast("FlightLog", KnownLog(*packages)), stream)
     found: dict[str, list[dict[str, Any]]] = {topic: [] for topic in TOPICS}
     with rosbag2.Reader(path) as reader:
-        for connection, _, data in reader.messages():
+        for connection, at_ns, data in reader.messages():
+            assert abs(at_ns - 1_800_000_004_250_000_000) < 1000, "POSIX time"
             found[connection.topic].append(flat(connection.msgtype, data))
     return found
 
