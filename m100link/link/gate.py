@@ -111,7 +111,7 @@ def _lose_loop(loop: asyncio.AbstractEventLoop) -> None:
     waker = getattr(loop, "_csock", None)
     if waker is not None and threading.current_thread() is threading.main_thread():
         before = signal.set_wakeup_fd(-1)
-        if before not in (-1, waker.fileno()):
+        if before != waker.fileno():
             signal.set_wakeup_fd(before)  # of somebody else
 
 

@@ -199,10 +199,10 @@ def _unpack_nothing(_: bytes) -> tuple[int, int, int, bytes]:
 
 # By the size of what may be a frame: what takes it apart in one call, into word, sequence, CRC16
 # and payload. It reaches beyond the longest by a usual read, for an exception is dearer than it.
-_unpack_whole: list[_Unpack] = [_unpack_nothing] * (MAX_FRAME_SIZE + 4096)
-_unpack_whole[HEADER_SIZE : MAX_FRAME_SIZE + 1] = [_unpack_first] * (
-    MAX_FRAME_SIZE + 1 - HEADER_SIZE
-)
+_unpack_whole: list[_Unpack] = [
+    _unpack_first if HEADER_SIZE <= size <= MAX_FRAME_SIZE else _unpack_nothing
+    for size in range(MAX_FRAME_SIZE + 4096)
+]
 
 
 @quick

@@ -12,6 +12,7 @@ import pytest
 from m100link.errors import BadKey, UsageError
 from m100link.link.keyfile import (
     MAX_SECRET_SIZE,
+    locks,
     read_key,
     read_token,
     replace_file,
@@ -62,6 +63,12 @@ def test_what_cannot_be_read_names_the_file(tmp_path: Path, read: object) -> Non
         read(write(tmp_path / "umlaut", "ü".encode() * 20))
     with pytest.raises(UsageError, match=f"more than {MAX_SECRET_SIZE} bytes"):
         read(write(tmp_path / "long", b"0" * (MAX_SECRET_SIZE + 1)))
+
+
+def test_windows_has_no_such_locks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.platform", "win32")
+    with (tmp_path / "lock").open("w") as file, pytest.raises(UsageError, match="on Windows"):
+        locks(file.fileno())
 
 
 def test_a_token_has_no_white_space_around_it(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import errno
 import logging
+import math
 import socket
 from dataclasses import asdict
 from types import SimpleNamespace
@@ -17,6 +18,7 @@ from m100link import (
     AckTimeout,
     AuthorityRefused,
     BadAck,
+    BadURL,
     CommandNotSupported,
     CommandRefused,
     KeyRejected,
@@ -318,6 +320,10 @@ async def test_how_long_an_aircraft_is_looked_for_and_what_is_said_then(
         raise AssertionError
 
     road.request = waits  # type: ignore[method-assign]  # nobody answers
+    for never in (0.0, -1.0, math.inf, math.nan):
+        with pytest.raises(UsageError, match=f"can answer within {never} s"):
+            await requests(road, None).find_aircraft(never)
+    await asyncio.sleep(100.0)
     loop = asyncio.get_running_loop()
     begun_at = loop.time()
     with pytest.raises(kind) as caught:
@@ -326,7 +332,7 @@ async def test_how_long_an_aircraft_is_looked_for_and_what_is_said_then(
     seconds = heard_s if is_heard else unheard_s
     assert loop.time() - begun_at == pytest.approx(seconds, abs=0.01)
     assert words in caught.value.seen
-    assert f"{seconds:.3g} s" in caught.value.seen
+    assert f"(line, {seconds:.3g} s)" in caught.value.seen
     assert (caught.value.bytes_received, caught.value.frames_received) == heard[:2]
     # One question under one number for as long as it takes, every 0.3 s.
     [how] = asked
@@ -638,6 +644,13 @@ async def test_a_host_that_takes_no_connection_is_waited_for_twelve_seconds(
     with pytest.raises(PortFailed, match="nothing answers at tcp://host:7: no connection in time"):
         await open_link("tcp://host:7")
     assert loop.time() - begun_at == pytest.approx(12.0)
+    full = Mock(side_effect=OSError(errno.EMFILE, "Too many open files"))
+    monkeypatch.setattr(loop, "create_connection", full)
+    with pytest.raises(PortFailed, match="tcp://host:7 cannot be opened: ") as caught:
+        await open_link("tcp://host:7")
+    assert "leaks" in caught.value.cause
+    with pytest.raises(BadURL, match="is a recorded flight, and not a line"):
+        await open_link("replay://flight.mcap")
 
 
 async def test_a_host_gets_setpoints_of_seconds_and_is_lost_after_twenty(

@@ -274,11 +274,12 @@ def test_a_second_ack_is_counted_as_duplicate() -> None:
 
 def test_an_ack_after_the_last_time_out_is_counted_as_late() -> None:
     sender = Sender()
-    sender.request(b"x", now=0, timeout=1, tries=1)
+    sender.request(b"x", now=40, timeout=1, tries=1)
     (frame,) = sent(sender)
-    sender.handle_timer(1)
-    assert sender.receive_ack(ack(frame), 2) is None
+    sender.handle_timer(41)
+    assert sender.receive_ack(ack(frame), 42) is None
     assert sender.statistics.late_acks == 1
+    assert sender.latency.round_trip_s == 2, "the next request is waited for accordingly"
 
 
 def test_a_late_ack_answers_no_newer_request_on_its_session() -> None:
