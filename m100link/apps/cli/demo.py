@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter, validators
+from rich.columns import Columns
 from rich.console import Group
 from rich.live import Live
 from rich.table import Table
@@ -49,7 +50,7 @@ _FASTEST = 50.0
 _RETURN_TOLERANCE_M = 1.0
 
 _PICTURE = 32
-"""Columns of a picture in the summary; two stand side by side where there is room for three."""
+"""Columns of a picture in the summary; two stand side by side where there is room."""
 
 
 @dataclass
@@ -324,19 +325,9 @@ def _print_summary(flight: _Flight, summary: dict[str, Any]) -> None:
     out.print(table)
     out.print(numbers)
     if flight.track:
-        pictures = Table(box=None, pad_edge=False, show_header=out.width >= 3 * _PICTURE)
-        track = track_plot(flight.track, columns=_PICTURE, rows=14)
-        height = line_plot(flight.heights, unit="m", columns=_PICTURE, rows=13)
-        drawn = {"track": Text("\n".join(track)), "height": Text("\n".join(height))}
-        if out.width < 3 * _PICTURE:
-            for title, picture in drawn.items():
-                pictures.add_row(title)
-                pictures.add_row(picture)
-        else:
-            for title in drawn:
-                pictures.add_column(title, justify="left")
-            pictures.add_row(*drawn.values())
-        out.print(pictures)
+        track = ["track", *track_plot(flight.track, columns=_PICTURE, rows=14)]
+        height = ["height", *line_plot(flight.heights, unit="m", columns=_PICTURE, rows=13)]
+        out.print(Columns(Text("\n".join(picture)) for picture in (track, height)))
     if flight.recording is not None:
         quoted = shlex.quote(flight.recording)
         out.print(f"recorded in {flight.recording}", markup=False, soft_wrap=True)
