@@ -326,6 +326,10 @@ class Replay:
         is_whole = self.newest_at is None or newest_at >= self.newest_at
         return max(self.clock, newest_at) if is_whole else newest_at
 
+    def utc_at(self, now: float) -> float:
+        """POSIX time of the flight at that time of its clock, s."""
+        return self.utc + now - self.clock
+
 
 # -- events, for people ----------------------------------------------------------------------------
 

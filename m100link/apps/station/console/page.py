@@ -204,10 +204,9 @@ class Page:
             return None
         is_compared = context.memory.compared in context.tabs.agents
         other = context.history_of(context.memory.compared).recorded if is_compared else None
-        utc = replay.utc + self._agent.view.now - replay.clock
         return RecordedFlight(
             recorded.story,
-            recorded.at(utc),
+            recorded.at(replay.utc_at(self._agent.view.now)),
             None if other is None else other.story,
             is_whole=recorded.is_whole,
         )

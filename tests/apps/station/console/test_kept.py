@@ -9,7 +9,8 @@ import pickle
 import random
 import signal
 import time
-from collections.abc import AsyncIterator, Awaitable, Callable
+from array import array
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from contextlib import AsyncExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -47,6 +48,7 @@ from m100link.apps.station.console.view.view_model import Memory, view_of
 from m100link.errors import M100Error
 from m100link.log import recorder
 from m100link.log.reading import Message
+from m100link.log.story import Curves, FlightSummary, read_story
 from m100link.protocol import profile
 from m100link.protocol.records import Attitude, Position, quaternion
 from m100link.protocol.setpoint import Setpoint
@@ -398,9 +400,17 @@ async def test_rows_are_taken_ten_times_a_second_and_a_stalled_line_is_a_gap(rig
     assert rows[-1][1] == pytest.approx(position.height_m, abs=0.5)
     assert rows[-1][2] == pytest.approx(100.0, abs=5.0)
     assert rows[-1][0] - rows[0][0] == pytest.approx(5.0, abs=0.3)
+    assert rows[-1][0] == pytest.approx(time.time() + 5.0, abs=2.0)  # virtual seconds beside it
+    assert history.lag == pytest.approx(0.0, abs=0.01)
     rig.aircraft.stall_line()
     await anyio.sleep(3.0)
     assert math.isnan(history.rows([HEIGHT])[-1][1])
+    loop = cast(VirtualClockEventLoop, asyncio.get_running_loop())
+    loop._jumping.now += 0.3  # something else has this processor
+    await anyio.sleep(1.0)
+    assert history.lag == pytest.approx(0.3, abs=0.1), "the worst of the last second is forgotten"
+    await anyio.sleep(1.1)
+    assert history.lag == pytest.approx(0.0, abs=0.01)
 
 
 def test_the_oldest_rows_go() -> None:
@@ -530,10 +540,11 @@ async def test_rows_of_a_file_have_what_was_commanded_beside_what_was_flown(alar
             {"north_m_s": 3, "east_m_s": -4, "ground_speed_m_s": 5, "up_m_s": 0.5}
             | {"yaw_rate_deg_s": -20},
         ),
-        (  # the nose points east, so its right is south
-            Setpoint.velocity(forward=3.0, right=4.0, height=12.0, yaw_deg=-30.0),
-            90.0,
-            {"north_m_s": -4, "east_m_s": 3, "ground_speed_m_s": 5, "height_m": 12, "yaw_deg": -30},
+        (  # the nose points 4 m to the north by 3 m to the east: 2.5 m along it are 2 and 1.5
+            Setpoint.velocity(forward=2.5, right=5.0, height=12.0, yaw_deg=-30.0),
+            math.degrees(math.atan2(3.0, 4.0)),
+            {"north_m_s": 2 - 3, "east_m_s": 1.5 + 4, "ground_speed_m_s": math.sqrt(31.25)}
+            | {"height_m": 12, "yaw_deg": -30},
         ),
         (
             Setpoint.velocity(forward=3.0, right=4.0, up=-0.5, yaw_deg=10.0),
@@ -565,13 +576,30 @@ def test_a_row_that_stays_keeps_its_time(monkeypatch: pytest.MonkeyPatch) -> Non
         rows.add(float(at), (10.0 * at,))
     assert (list(rows.times), rows.interval) == ([0.0, 4.0, 6.0, 7.0], 4.0)
     assert rows._rows == [(0.0,), (40.0,), (60.0,), (70.0,)]
+    empty = kept._Rows("1.0").columns(Curves())
+    assert (set(COLUMNS) <= empty.keys(), {len(one) for one in empty.values()}) == (True, {0})
+
+
+@pytest.mark.parametrize(("most", "times"), [(10, [2, 3, 4, 5, 6]), (2, [2, 5])])
+def test_a_part_of_a_flight_has_a_row_on_each_side(most: int, times: list[float]) -> None:
+    whole = Recorded(FlightSummary(""), array("d", range(10)), {})
+    assert whole.between([], 3.0, 5.5, most) == [(at,) for at in times]
 
 
 async def test_of_a_long_file_every_second_row_goes(
     alarming: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(kept, "MOST_ROWS", 20)
+    monkeypatch.setattr(kept, "LARGE", 4 * len(_ALARMING[0]))
+    intervals: list[float] = []
+
+    def read_rarely(*flight: Any, interval_s: float, **how: Any) -> FlightSummary:
+        intervals.append(interval_s)
+        return read_story(*flight, interval_s=interval_s, **how)
+
+    monkeypatch.setattr(kept, "read_story", read_rarely)
     found = analyse(str(alarming), "")
+    assert intervals == [0.25], "a second from a file of that size on"
     assert isinstance(found, Recorded)
     assert 10 <= len(found.times) <= 20
     assert {len(column) for column in found.columns.values()} == {len(found.times)}
@@ -630,8 +658,15 @@ def test_in_an_outline_a_value_ends_that_has_grown_old() -> None:
         Message("telemetry", 5000.0 + at, 1.7e9 + at, json.dumps(values).encode())
         for at, values in packages
     ]
-    flight = SimpleNamespace(path=Path("a.mcap"), messages=lambda *_, **__: iter(messages))
+    pauses: list[float] = []
+
+    def read(*_: Any, pause_s: float = 0.0) -> Iterator[Message]:
+        pauses.append(pause_s)
+        return iter(messages)
+
+    flight = SimpleNamespace(path=Path("a.mcap"), messages=read)
     found = kept._outline(cast(Any, flight), 1.0)
+    assert pauses == [0.0, 0.5]  # twice as often as rows: none is missed
     assert list(found.times) == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]
     for name, values in ((HEIGHT, [7.0] * 2 + [None] * 6), (CHARGE, [80.0] * 6 + [None] * 2)):
         shown = [None if one is None or math.isnan(one) else one for one in found.columns[name]]
@@ -697,7 +732,7 @@ async def test_a_replay_on_a_busy_computer_shows_the_alarms_of_its_file_and_no_o
                 await anyio.sleep(chance.choice([0.0, 0.01, 0.3]))
                 told = client.view.state.replay
                 assert told is not None
-                at = found.at(told.utc + client.view.now - told.clock)
+                at = found.at(told.utc_at(client.view.now))
                 view = view_of(
                     Inputs(vehicle=client.view, flight=RecordedFlight(found.story, at)), memory
                 )

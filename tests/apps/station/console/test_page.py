@@ -13,7 +13,7 @@ pytest.importorskip("nicegui", reason="the extra `station` is not installed")
 from nicegui import Client, core, ui
 
 from m100link.apps.station.console.kept import PlotHistory
-from m100link.apps.station.console.page import Page
+from m100link.apps.station.console.page import Page, worker
 from m100link.apps.station.console.tabs import Tabs
 from m100link.apps.station.console.view.texts import DisplaySettings, for_browser
 from m100link.apps.station.web.tiles import MapTiles
@@ -53,3 +53,4 @@ async def test_a_page_is_built_in_steps_between_which_everything_else_has_its_tu
         for_browser(DisplaySettings().speaker)
     ]
     client.delete()
+    assert vars(await worker(None))["path"].name == "sw.js"

@@ -10,7 +10,7 @@ import random
 import sys
 from collections.abc import Awaitable, Callable
 from pathlib import Path
-from types import FrameType
+from types import FrameType, SimpleNamespace
 from typing import Any
 
 import anyio
@@ -28,13 +28,22 @@ from m100link.apps.agent.latency import (
     PAGE_GRAIN,
 )
 from m100link.apps.agent.lease import LeaseChange, LeaseHeld
-from m100link.apps.agent.orders import Life
-from m100link.apps.station.console.tab import BEAT_LIFETIME, TOLD_S, Fate, Tab, _read
+from m100link.apps.agent.messages import State
+from m100link.apps.agent.orders import Life, News
+from m100link.apps.station.console.tab import (
+    BEAT_LIFETIME,
+    TOLD_S,
+    Fate,
+    IssuedOrder,
+    Tab,
+    _read,
+)
 from m100link.apps.station.console.view.fly import FIELDS, live, read
 from m100link.apps.station.console.view.texts import Translator, tr
 from m100link.errors import GuardRefused, LossReason, M100Error, NoAuthority
 from m100link.geodesy import LocalFrame
 from m100link.protocol.records import Attitude, Position, RcMode, Velocity
+from m100link.protocol.setpoint import Setpoint
 from m100link.sim.orders import perform
 from tests.apps.station.conftest import Rig
 from tests.known import seen
@@ -465,6 +474,8 @@ async def test_a_refusal_under_a_held_key_is_set_once_and_cleared_once(
         assert "s late" in browser.problem
         browser.say("rest")
     assert len(shown) == 2
+    noted = [one.text for one in rig.front.events if one.text.startswith("tab: ")]
+    assert 2 <= len(noted) <= 7, "one in a second, of 20 beats"
     await hold(1.0)
     assert len(shown) == 3
     assert shown[0] == shown[2] == ""
@@ -537,6 +548,9 @@ async def test_an_operator_who_holds_something_while_somebody_presses_stop_has_t
     await flying.hold(1.0, x=-8)
     assert speed(rig) > 0.3
     other.say("stop")
+    untimed = json.loads(flying.message("rest"))
+    del untimed["told"]  # it may have let go before
+    flying.tab.receive(json.dumps(untimed))
     await flying.hold(2.5, x=-8)  # the key stays pressed
     assert speed(rig) < 0.2
     assert "STOP was pressed" in flying.problem
@@ -846,6 +860,31 @@ async def test_sent_becomes_flown_once_the_agent_has_taken_it(rig: Rig) -> None:
         assert set(told) == set(steps)
         browser.say("rest")
         await keep_alive(browser, anyio.sleep(2.0))
+
+
+@pytest.mark.parametrize(
+    ("age", "north", "found"),
+    [
+        (0.55, 0.61, (True, True)),  # less than the grain of a page's clock before the press
+        (0.55, 0.59, (True, False)),
+        (0.55, -0.61, (True, False)),
+        (0.65, 0.61, (False, None)),  # the aircraft has the setpoint of the press before
+    ],
+)
+def test_a_press_is_flown_when_telemetry_shows_three_tenths_of_its_speed(
+    age: float, north: float, found: tuple[bool, bool | None]
+) -> None:
+    wanted = Setpoint.velocity(north=2.0, east=0.0, up=0.0, yaw_rate_deg_s=0.0)
+    velocity, state = Velocity(north, 0.0, 0.0, 5), State(10.5, setpoint_age=age)
+    view: Any = SimpleNamespace(state=state, together={Velocity: velocity}.get)
+    assert IssuedOrder(1, 10.0, wanted=wanted)._of_press(view) == found
+
+
+def test_a_flight_that_was_accepted_is_not_flown_before_its_agent_says_so() -> None:
+    flight = IssuedOrder(1, 10.0, order=orders.FlyTo(52.0, 4.3, height=5.0))
+    flight.hear(News.TAKEN, 10.1)
+    view: Any = SimpleNamespace(is_heard=True, at=10.2, state=State(10.2))
+    assert flight._of_flight(view) == (True, False)
 
 
 async def test_nobody_in_control_flies_nothing_by_its_pad(rig: Rig) -> None:

@@ -78,11 +78,13 @@ def places(monkeypatch: pytest.MonkeyPatch) -> int:
 
 
 async def test_a_tab_gets_instruments_until_it_leaves(rig: Rig) -> None:
-    tabs = Tabs({"m100": rig.front})
+    tabs = Tabs({"m100": rig.front, "kite": rig.front})
     page = Page(rig, tabs)
-    await anyio.sleep(0.5)
+    await anyio.sleep(0.6)
     told = [message for message in page.sent if message["type"] == "websocket.send"]
-    assert len(told) == pytest.approx(0.5 / module.LIVE_INTERVAL, abs=2)
+    assert len(told) == pytest.approx(0.6 / module.LIVE_INTERVAL, abs=2)
+    others = [json.loads(message["text"]).get("others", ()) for message in told]
+    assert [one["name"] for row in others for one in row] == ["kite"] * 2  # twice a second
     page.leave()
     await page.work
     again = Page(rig, tabs, key=page.key)

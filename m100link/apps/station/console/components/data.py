@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from functools import partial
+from itertools import product
 from typing import Any
 
 from nicegui import events, ui
@@ -69,11 +70,11 @@ class TelemetryPart:
             width=320, height=180, grid=(10, 10), background_color="#dfe6ee", fps=10
         ) as scene:
             with scene.group() as self._model:
-                scene.box(1.6, 0.16, 0.1).material("#444").rotate(0, 0, math.pi / 4)
-                scene.box(1.6, 0.16, 0.1).material("#444").rotate(0, 0, -math.pi / 4)
+                for turn in (math.pi / 4, -math.pi / 4):
+                    scene.box(1.6, 0.16, 0.1).material("#444").rotate(0, 0, turn)
                 scene.box(0.5, 0.35, 0.25).material("#666")
                 scene.box(0.35, 0.1, 0.1).material("#c62828").move(0.5, 0, 0.05)
-                for x, y in ((0.57, 0.57), (0.57, -0.57), (-0.57, 0.57), (-0.57, -0.57)):
+                for x, y in product((0.57, -0.57), repeat=2):
                     scene.cylinder(0.38, 0.38, 0.04).material(
                         "#c62828" if x > 0 else "#1565c0", opacity=0.6
                     ).rotate(math.pi / 2, 0, 0).move(x, y, 0.12)

@@ -300,7 +300,7 @@ class ReplayPart:
         self._page = page
         self._is_showing = False  # what is set then was not chosen
         self._is_held = False  # a finger moves the place
-        self._duration_s = -1.0
+        self._duration_s: float | None = None
         self._is_marked = False  # the page: what one flies with is hidden
         self._shown: ReplayView | None = None
         put = page.wording.put

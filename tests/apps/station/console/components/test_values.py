@@ -8,6 +8,7 @@ from __future__ import annotations
 import inspect
 import json
 import math
+import re
 import time
 from collections.abc import Callable, Generator, Iterator
 from contextlib import suppress
@@ -40,7 +41,7 @@ from m100link.apps.station.console.view.alarms import ActiveAlarm, AlarmName, Al
 from m100link.apps.station.console.view.data import LINK_ITEMS, EventLine
 from m100link.apps.station.console.view.fly import HELD
 from m100link.apps.station.console.view.header import FleetRow
-from m100link.apps.station.console.view.plan import Draft
+from m100link.apps.station.console.view.plan import Draft, row_of
 from m100link.apps.station.console.view.situation import AlarmLevel, Situation
 from m100link.apps.station.console.view.texts import (
     DisplaySettings,
@@ -49,6 +50,7 @@ from m100link.apps.station.console.view.texts import (
     SpeedUnit,
     Text,
     Theme,
+    tr,
 )
 from m100link.apps.station.console.view.view_model import Memory
 from m100link.apps.station.web.tiles import MapTiles, Pictures
@@ -281,6 +283,8 @@ def test_a_plot_is_sent_whole_and_then_what_is_new(here: Here) -> None:
     add(*(2.0 + number / 10 for number in range(301)))  # more than the range: nobody sees the rest
     [(which, times, _)] = sent()
     assert (which, len(times), times[-1]) == (6, 300, 32_000)
+    add(32.1, 32.2, 32.3, 32.4)
+    assert sent() == [(6, [32_100, 32_200, 32_300, 32_400], 30_000)]
 
 
 # -- the pad: mode 2, the left stick climbs and turns ----------------------------------------------
@@ -390,6 +394,11 @@ async def test_the_slider_pitches_the_gimbal_and_nothing_else(here: Here) -> Non
     angle = GimbalAngle(0, 0, -45.0, keep, 0.5)
     assert here.notes[-1] == ("ask", orders.PointGimbal(angle))
     assert (part._pitch.props["min"], part._pitch.props["max"]) == (-90.0, 30.0)
+    part._asked = "photo", here.agent.now - 3.4
+    readings = {"gimbal": SimpleNamespace(text=Text("camera.none"))}
+    part.update(SimpleNamespace(instruments=SimpleNamespace(readings=readings), actions=()))
+    asked = here.wording(tr("camera.photo.asked", seconds=3))
+    assert part._state.text == f"{here.wording(Text('camera.none'))} · {asked}"
 
 
 async def test_stop_is_given_by_its_own_event_and_hears_of_its_press(here: Here) -> None:
@@ -464,7 +473,10 @@ async def test_what_is_pointed_at_becomes_points_behind_the_chosen_one(here: Her
     await here.say("map_pointed", view="plan", place=[52.1])
     await here.say("map_pointed", view="plan", place=[52.1, 361])
     assert points() == [(*A, 20.0), (*B, 20.0)]
-    assert part._chosen == 1
+    assert (part._chosen, part._waypoint._title.text) == (1, "2")
+    labels = [one.text for one in here.client.elements.values() if isinstance(one, ui.label)]
+    rows = [here.wording(row_of(n, point)) for n, point in enumerate(part._draft.points, 1)]
+    assert [text for text in labels if text in rows] == rows
     await here.say("plan_chosen", index=0)
     here.type("waypoint-height", 7.5)
     await here.say("map_pointed", view="plan", place=C)
@@ -508,13 +520,15 @@ async def test_a_point_is_added_where_the_aircraft_is_and_then_to_the_north(
     """22 m, which are two ten-thousandths of a degree."""
     if not is_known:
         here.place = None
-    _, points = drawn(here)
+    part, points = drawn(here)
     add = here.find(data_plan="add")
-    await here.press(add)
-    await here.press(add)
-    (one, two) = map_(points())
+    for _ in range(3):
+        await here.press(add)
+        part._chosen = None  # so the last one counts
+    (one, two, three) = map_(points())
     assert one == pytest.approx(first, abs=1e-5)
     assert two == pytest.approx((one[0] + 2e-4, one[1]), abs=1e-5)
+    assert three == pytest.approx((one[0] + 4e-4, one[1]), abs=1e-5)
 
 
 async def test_clicks_make_corners_while_an_area_is_drawn(here: Here) -> None:
@@ -660,6 +674,7 @@ async def test_lines_are_as_far_apart_as_the_overlap_says(
     drawn(here)
     for name, value in typed.items():
         here.type(f"survey-{name}", value)
+        assert here.find(for_=f"survey-{name}").min <= value
     await here.press(here.find(data_plan="lines"))
     [found] = asked
     assert found.pop("start") == pytest.approx((LATITUDE, LONGITUDE))
@@ -860,8 +875,13 @@ def test_the_map_shows_another_plan_and_other_tiles_once(here: Here) -> None:
     here.notes.clear()
     here.page.tiles.pictures = Pictures((14, 19), "© Anna", 2**60)
     chart = SimpleNamespace(route=((1.0, 2.0),), fence={"radius": 3})
-    for one in (chart, chart):
-        part.update(SimpleNamespace(chart=one, flight=None))
+    path = here.page.history.path
+    path.hear_phase(1.0, is_off_ground=True)
+    for at in (1.0, 2.0, 3.0):
+        path.add(at, position()._replace(latitude_rad=0.1 * at))
+        part.update(SimpleNamespace(chart=chart, flight=None))
+    sent = [re.findall(r'"from":(\d+).*?"points":\[\[(.*?),', code) for _, code in here.notes]
+    assert [one for one in sent if one] == [[("0", "1.0")], [("1", "2.0")], [("2", "3.0")]]
     [chart_code] = [code for _, code in here.notes if "setChart" in code]
     assert 'map.setChart([[1.0, 2.0]], {"radius": 3})' in chart_code
     [tiles_code] = [code for _, code in here.notes if "showTiles" in code]
@@ -1378,6 +1398,14 @@ async def test_the_log_has_the_origin_of_a_video_and_few_words(
 def test_the_attitude_is_drawn_from_behind_and_told_to_be_old(here: Here) -> None:
     """The scene has x to the east and z up: the nose points north at a heading of 0."""
     part = here.make(data.TelemetryPart)
+    scene = part._model.scene
+    assert (scene.camera.x, scene.camera.y < -2.0, scene.camera.z > 1.0) == (0, True, True)
+    made = list(scene.objects.values())
+    rotors = {(one.x, one.y, one.color, one.R[2][1]) for one in made if one.type == "cylinder"}
+    front, back = "#c62828", "#1565c0"  # each lies flat
+    assert rotors == {(x, y, front if x > 0 else back, 1) for x in (0.57, -0.57) for y in (x, -x)}
+    arms = {round(one.R[1][0], 2) for one in made if (one.type, one.color) == ("box", "#444")}
+    assert arms == {0.71, -0.71}, "across, from rotor to rotor"
     turned: list[tuple[float, ...]] = []
     part._model = SimpleNamespace(rotate=lambda *angles: turned.append(angles))
     names = [one.name for one in view_of_fly.FIELDS]
@@ -1439,6 +1467,8 @@ def test_tables_of_the_link_are_filled_anew_and_keep_their_cells(here: Here) -> 
     battery = here.wording(Text("plots.item.battery"))
     assert [one.text for one in before][4:] == [battery, "0 Hz", "0 ms", "2 s"]
     assert len(before) == 8, "titles, and a row"
+    table = here.find(id="link-rates").default_slot.children[0]
+    assert table.style["grid-template-columns"] == "1fr auto auto auto"
     update(1, ((Text("link.none"), "7"), (Text("link.none"), "8")), (("anna", "9"),))
     assert cells("rates") == before, "nobody who reads or selects loses them"
     assert [one.text for one in cells("causes")] == [none, "7", none, "8"]
