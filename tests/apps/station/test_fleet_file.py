@@ -327,26 +327,29 @@ HERE = m100link.__version__
 NO_PORT = RemoteError("PortNotFound", "no port", remedy="plug it in")
 NO_DISK = RemoteError("OutOfResources", "full disk: 0 MB are left", remedy="remove")
 CARDS: list[tuple[Card | None, list[tuple[str, str]]]] = [
-    (Card("a1", "run", 0.0, version=HERE), []),
+    (Card("a1", "run", 1000.0, version=HERE), []),
     (None, [("wrong key", "gives no answer that its certificate has signed")]),
     (Card("a1", "", 0.0), [("wrong version", "has release unknown, and this is")]),
     (Card("a1", "", 9e9, version="0.1"), [("wrong version", "has release 0.1, and this is")]),
     (
-        Card("a1", "run", 61.0, version="0.1"),
+        Card("a1", "run", 1061.0, version="0.1"),
         [("wrong version", "has release 0.1"), ("wrong clock", "61 s ahead of this one")],
     ),
-    (Card("a1", "run", -61.0, version=HERE), [("wrong clock", "61 s behind this one")]),
+    (Card("a1", "run", 939.0, version=HERE), [("wrong clock", "61 s behind this one")]),
     (
         Card(
             "a1",
             "run",
-            0.0,
+            1000.0,
             version=HERE,
             fault=RemoteError("PortNotFound", "no port", remedy="plug it in"),
         ),
         [("no aircraft", "a1: no port")],
     ),
-    (Card("a1", "run", 0.0, version=HERE, fault=NO_DISK), [("full disk", "a1: full disk: 0 MB")]),
+    (
+        Card("a1", "run", 1000.0, version=HERE, fault=NO_DISK),
+        [("full disk", "a1: full disk: 0 MB")],
+    ),
 ]
 
 
@@ -354,7 +357,7 @@ CARDS: list[tuple[Card | None, list[tuple[str, str]]]] = [
 def test_a_card_tells_its_faults(
     card: Card | None, faults: list[tuple[str, str]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(module.time, "time", lambda: 0.0)  # type: ignore[attr-defined]
+    monkeypatch.setattr(module.time, "time", lambda: 1000.0)  # type: ignore[attr-defined]
     found = list(module._of_card("a1", card))
     assert kinds(found) == [(fault, "a1") for fault, _ in faults]
     for one, (_, seen) in zip(found, faults, strict=True):
@@ -541,6 +544,21 @@ def test_what_each_operator_sees_by_each_router_is_put_together(
     shown = [way for way in ways if way.endswith(tuple(well))]
     wanted = [way for way in shown if not is_twice or way.startswith("wall")]
     assert told == [f"{way}: a1, a2" for way in wanted]
+
+
+def test_what_is_absent_has_ten_seconds_to_come(monkeypatch: pytest.MonkeyPatch) -> None:
+    looks, told = list[float](), list[str]()
+
+    async def examined(_: Rights, tell: Callable[[str], None]) -> list[FleetFault]:
+        looks.append(asyncio.get_running_loop().time())
+        tell("anna by base: a1")
+        return [FleetFault("cut leg", "a2", "no agent named a2 is there", "")]
+
+    monkeypatch.setattr(module, "_examined", examined)
+    nothing: Any = None
+    assert len(on_virtual_time(examine(nothing, told.append))) == 1
+    assert looks == pytest.approx([looks[0] + n / 2 for n in range(21)], abs=0.01)
+    assert told == ["anna by base: a1"]
 
 
 async def at_once(work: Any, *what: Any) -> Any:

@@ -90,6 +90,11 @@ def test_what_came_before_it_serves_is_not_obeyed(settings: Settings) -> None:
     assert (system, component) == (245, 191)
 
 
+def test_an_autopilot_that_there_is_not_is_refused(settings: Settings) -> None:
+    with pytest.raises(UsageError, match="there is no autopilot 'ardu'"):
+        prepare(AsyncExitStack(), replace(settings, autopilot="ardu"))
+
+
 @pytest.mark.parametrize("field", ["mavlink", "mavlink_to"])
 @pytest.mark.parametrize("host", ["127.0.0.1", "0.0.0.0", "192.0.2.7"])
 def test_no_other_machine_is_let_in_or_sent_to_unsigned(field: str, host: str) -> None:

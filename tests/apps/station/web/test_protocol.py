@@ -8,6 +8,7 @@ import socket
 from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 
@@ -383,6 +384,20 @@ async def test_a_page_that_does_not_start_is_no_page_that_is_served() -> None:
                 await protocol.serve_http(
                     fronts, "here", Starlette(lifespan=lifespan), lifespan="on"
                 )
+
+
+@pytest.mark.parametrize(
+    "ended", [(True, False, False), (False, True, False), (False, False, True)]
+)
+async def test_nothing_is_written_to_a_client_that_has_gone(ended: tuple[bool, ...]) -> None:
+    one = object.__new__(protocol.WebSocketConnection)
+    one.disconnected, one.close_sent, is_closing = ended
+    one.writable, one.transport = asyncio.Event(), Mock()
+    one.transport.is_closing.return_value = is_closing
+    one.writable.set()
+    with pytest.raises(WebSocketDisconnect):
+        await one.send_all(["{}"])
+    assert one.transport.write.call_count == 0
 
 
 async def test_a_client_that_pings_and_reads_nothing_grows_nothing(

@@ -21,6 +21,7 @@ from tests.apps.agent.conftest import task_of
 
 pytest.importorskip("uvicorn")
 pytest.importorskip("starlette")
+from starlette.websockets import WebSocketDisconnect
 from websockets.asyncio.client import ClientConnection
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.frames import Opcode
@@ -493,6 +494,31 @@ async def test_the_heaviest_client_goes_when_the_loop_stood_for_a_tenth_of_a_sec
     guard.cancel()
     assert heavy.method_calls == ([call.disconnect(why), call.close(9.0)] if why else [])
     assert (light.method_calls, light.recent_work) == ([], 0.0)
+
+
+async def test_a_client_is_charged_for_what_it_sends_and_gets(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Seconds of the processor: of a frame that is read, and of others that are packed."""
+    session = Mock(close_reason=None)
+    session.work_pause.return_value = 0.0
+
+    async def frames(_: object) -> AsyncIterator[str]:
+        yield "{}"
+
+    async def send_all(_: object) -> None:
+        if session.charge.call_count > 1:
+            raise WebSocketDisconnect
+
+    times = iter([5.0, 5.25, 6.0, 6.5, 7.0, 7.5])
+    monkeypatch.setattr(server, "time", SimpleNamespace(thread_time=times.__next__))
+    monkeypatch.setattr(server, "frames_of", frames)
+    monkeypatch.setattr(server, "_frames", lambda _: ["{}"])
+    socket = Mock(scope={"state": {"connection": SimpleNamespace(send_all=send_all)}})
+    one = with_clients(now=7.0)
+    await one._read(socket, session)
+    await one._write(socket, session, asyncio.Event(), asyncio.Event())
+    assert session.charge.call_args_list == [call(0.25, 7.0), call(0.5, 7.0)]
 
 
 async def test_what_is_throttled_goes_when_it_is_due_and_what_is_short_goes_together(
