@@ -40,7 +40,6 @@ from m100link.protocol.setpoint import Setpoint
 
 _logger = logging.getLogger(__name__)
 
-
 PauseAction = Literal["raise", "wait"]
 """The reaction to a pilot who takes the aircraft: end the block, or wait for the pilot."""
 

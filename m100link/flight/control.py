@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import logging
+import asyncio
 from collections.abc import AsyncIterable, AsyncIterator, Callable, Coroutine
 from contextlib import asynccontextmanager, nullcontext
 from functools import partial, update_wrapper
 from typing import Any, Concatenate, ParamSpec, Self, TypeVar
 
-from m100link.errors import TaskFailed, TaskRefused, UsageError
+from m100link.errors import NoAuthority, TaskFailed, TaskRefused, UsageError
 from m100link.flight.authority import AuthorityState
 from m100link.flight.block import ControlBlock, PauseAction, SetpointSender
 from m100link.flight.guardian import patience_of
@@ -29,8 +29,6 @@ from m100link.protocol.setpoint import Setpoint
 from m100link.telemetry.state import AircraftState
 
 __all__ = ["Control", "Hold"]
-
-_logger = logging.getLogger(__name__)
 
 SetpointSource = Callable[[Tick], Setpoint | None] | AsyncIterable[Setpoint]
 """Feeds :meth:`Control.follow`: called at each tick until it returns None, or iterated."""
@@ -346,6 +344,9 @@ class Control:
     ) -> None:
         """Send what a source gives until it ends, then the mode's neutral.
 
+        It ends by :meth:`stop`, by another one, and by a take-off, a landing, a go-home, motors or
+        a mission that another task of the program asks for, also where that is refused.
+
         Args:
             source: A callable that gets each :class:`Tick` and returns a setpoint, or None to end;
                 or an async iterable of setpoints, which sets its own pace.
@@ -360,7 +361,14 @@ class Control:
         if lifetime is None:
             # Two ticks: one that is a little late must not let the setpoint before it expire.
             lifetime = max(SETPOINT_LIFETIME, 2 * period_of(rate_hz))
-        send = partial(self.send, lifetime=lifetime, allow_long_lifetime=allow_long_lifetime)
+        me = self._guidance.follower = asyncio.current_task()
+
+        def send(setpoint: Setpoint) -> None:
+            if self._guidance.follower is not me:
+                self._block.require_flying("a setpoint")  # what ended the block comes first
+                raise NoAuthority("follow() was ended: something else was asked for meanwhile")
+            self.send(setpoint, lifetime=lifetime, allow_long_lifetime=allow_long_lifetime)
+
         with self._steering.ends_neutral():
             if isinstance(source, AsyncIterable):
                 async for setpoint in source:
@@ -374,9 +382,9 @@ class Control:
     async def stop(self) -> None:
         """Send the neutral of the present mode for a moment, then nothing: the aircraft hovers.
 
-        A closed loop that is flying in another task ends with :class:`NotObserved`. A program that
-        goes on sending setpoints flies on. It stops a mission that flies, also somebody else's, and
-        one that is being prepared does not begin.
+        In another task a closed loop ends with :class:`NotObserved`, and :meth:`follow` with
+        ``NoAuthority``. A program that goes on sending setpoints flies on. It stops a mission that
+        flies, also somebody else's, and one that is being prepared does not begin.
 
         Raises:
             MissionRefused, AckTimeout, NoAuthority: A mission may be flying on.

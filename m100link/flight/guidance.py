@@ -181,6 +181,7 @@ class Guidance:
         self.flying = ""
         self._task: asyncio.Task[object] | None = None  # in which it flies
         self._interruptions = 0
+        self.follower: asyncio.Task[object] | None = None  # in which follow() may send
 
     def require_idle(self, what: str) -> None:
         """Raise ``UsageError`` while a loop is flying, unless its task is being cancelled."""
@@ -194,6 +195,8 @@ class Guidance:
     def interrupt(self) -> None:
         """End the loop that is flying, or about to: it raises NotObserved at its next tick."""
         self._interruptions += 1
+        if self.follower is not asyncio.current_task():  # its source may fly a task in between
+            self.follower = None
 
     def admit(self, name: str) -> Call:
         """Raise ``UsageError`` while another loop flies, or the aircraft stands on the ground."""

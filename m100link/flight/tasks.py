@@ -37,7 +37,6 @@ __all__ = ["TaskProgress"]
 
 _logger = logging.getLogger(__name__)
 
-
 _POLL_S = 0.25
 _SHOWN_POLL_S = 0.02
 _SHOWN_WITHIN_S = 1.2  # more than one period of an item that is sent once a second
@@ -218,14 +217,11 @@ class _Watch:
         query = QueryTask(self._sequence)
         try:
             self._result = await self._commander.requests.execute(query, timeout=0.2, tries=2)
-        except AckTimeout as error:
+        except (AckTimeout, CommandRefused) as error:
             _logger.debug("no result of the task: %s", error)
             self._unanswered += 1
-            if self._unanswered >= _UNANSWERED:
+            if isinstance(error, CommandRefused) or self._unanswered >= _UNANSWERED:
                 self._result = TaskResultCode.NOT_CURRENT
-        except CommandRefused as error:
-            _logger.debug("no result of the task: %s", error)
-            self._result = TaskResultCode.NOT_CURRENT
         else:
             self._unanswered = 0
 

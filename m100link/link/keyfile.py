@@ -8,7 +8,6 @@ A program replaces a file by :func:`replace_file`.
 
 from __future__ import annotations
 
-import logging
 import os
 import secrets
 import stat
@@ -20,8 +19,6 @@ from m100link.errors import UsageError
 from m100link.errors.texts import read_path
 from m100link.errors.usage import unread
 from m100link.wire.cipher import Key
-
-_logger = logging.getLogger(__name__)
 
 MAX_SECRET_SIZE = 4096  # longest file with a secret, bytes
 

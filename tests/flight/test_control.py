@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from functools import partial
 from itertools import pairwise
 from math import inf
@@ -465,6 +465,39 @@ async def test_follow_that_is_cancelled_leaves_neutral(flying: tuple[Rig, Contro
             await control.follow(lambda tick: NORTH)
     await asyncio.sleep(0.03)
     assert flown.moves[-1].roll_or_x == 0.0
+
+
+@pytest.mark.parametrize(
+    ("order", "rate"),
+    [("take_off", 5.0), ("disarm", 50.0), ("stop", 50.0), ("follow", 5.0), ("stop", None)],
+)
+async def test_follow_ends_by_what_another_task_asks_for_also_where_it_is_refused_within_a_tick(
+    order: str, rate: float | None
+) -> None:
+    """In the air the aircraft refuses a take-off, and its motors are not stopped."""
+
+    async def source() -> AsyncIterator[Setpoint]:
+        await control.take_off()  # an order of its own ends nothing
+        while True:
+            yield NORTH
+            await asyncio.sleep(0.1)
+
+    async with rig(firmware="3.1") as flown, flown.aircraft.control() as control:
+        if rate is None:
+            work = asyncio.create_task(control.follow(source()))
+            await asyncio.sleep(6.0)
+        else:
+            await control.take_off()
+            work = asyncio.create_task(control.follow(lambda _: NORTH, rate_hz=rate))
+            await asyncio.sleep(2.0)
+        assert flown.speed > 1.5
+        ask = partial(control.follow, lambda _: None) if order == "follow" else None
+        with pytest.raises(TaskRefused) if order in ("take_off", "disarm") else nullcontext():
+            await (ask or getattr(control, order))()
+        with pytest.raises(NoAuthority, match=r"was ended|was sent during"):
+            await work
+        await asyncio.sleep(NEUTRAL_TIME + 0.1)
+        await flown.assert_hovers()
 
 
 # -- stop and experts -----------------------------------------------------------------------------

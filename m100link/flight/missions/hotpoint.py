@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import asyncio
-import logging
 import math
 from collections.abc import AsyncIterable, AsyncIterator, Callable, Iterator
 from enum import IntEnum
@@ -50,8 +49,6 @@ if TYPE_CHECKING:
     from m100link.telemetry.state import AircraftState
 
 __all__ = ["CircleHeading", "CircleStart", "FollowFlight", "HotpointFlight", "Target"]
-
-_logger = logging.getLogger(__name__)
 
 
 _NAME = "the hotpoint"
