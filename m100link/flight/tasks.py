@@ -224,6 +224,8 @@ class _Watch:
                 self._result = TaskResultCode.NOT_CURRENT
         else:
             self._unanswered = 0
+        if self._result == TaskResultCode.FAILED:
+            await asyncio.sleep(_POLL_S)  # a loss of control, which is why, may arrive behind it
 
     def _is_done(self) -> bool:
         result = self._result
@@ -275,15 +277,9 @@ class _Watch:
         if self._progress is None:
             return
         status, position = self._state.get(FlightStatus), self._state.get(Position)
-        self._progress(
-            TaskProgress(
-                self._task,
-                elapsed,
-                status.phase if status else None,
-                position.height_m if position else None,
-                self._result,
-            )
-        )
+        phase = status.phase if status else None
+        height = position.height_m if position else None
+        self._progress(TaskProgress(self._task, elapsed, phase, height, self._result))
 
 
 # -- the sticks of a virtual remote control, and when its settings may be sent ---------------------

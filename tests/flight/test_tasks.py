@@ -141,11 +141,25 @@ async def test_landing_on_the_ground_is_refused() -> None:
             await control.land()
 
 
-async def test_a_task_that_the_pilot_interrupts_ends_the_block_as_a_loss() -> None:
+@pytest.mark.parametrize("is_asked", [False, True])
+async def test_a_task_that_the_pilot_interrupts_ends_the_block_as_a_loss(
+    monkeypatch: pytest.MonkeyPatch, is_asked: bool
+) -> None:
+    """Also where the aircraft is asked for the result in that moment, and says that it failed."""
     async with rig() as flown:
-        with pytest.raises(AuthorityLost):
+        tasks = flown.virtual.vehicle.flight.tasks
+        query = tasks.query
+
+        def asked(number: int) -> TaskResultCode:
+            flown.virtual.leave_f()
+            return query(number)
+
+        with pytest.raises(AuthorityLost, match="the pilot moved the mode switch out of F"):
             async with flown.aircraft.control() as control:
-                asyncio.get_running_loop().call_later(2.005, flown.virtual.leave_f)
+                if is_asked:
+                    monkeypatch.setattr(tasks, "query", asked)
+                else:
+                    asyncio.get_running_loop().call_later(2.005, flown.virtual.leave_f)
                 await control.take_off()
 
 
