@@ -599,7 +599,7 @@ def _track(story: FlightSummary) -> tuple[str, list[tuple[float, float, float]]]
         f"{svg_dot((left, top), 6)}{svg_text((left + 9, top - 6), 'home')}"
         f"{svg_dot(drawn[-1][1:], 3.5, 'currentColor', 'none')}"
         '<circle id="place" r="5" fill="var(--alarm)" style="display:none"/>'
-        f"{view.bar(12, _TRACK - 8, _TRACK / 2 - _EDGE)}"
+        f"{view.bar(12, _TRACK - 8, _TRACK / 2)}"
         f"{svg_text((_TRACK - 8, 14), 'N ↑', 'end')}</svg>"
     )
     return svg, drawn

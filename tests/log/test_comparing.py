@@ -36,6 +36,11 @@ def test_tracks_are_laid_over_each_other_at_take_off() -> None:
     assert found.most_apart is not None
     assert found.most_apart[1] == pytest.approx(30.0, abs=0.6)
     assert max(apart) == 15.0
+    lands = flown(waits_s=60.0, to_m=50.0)
+    lands.phases[1:] = [Span("flight", 60.0, 72.0), Span("ground", 72.0, 80.0)]
+    longer = flown(waits_s=5.0, to_m=20.0)
+    for found_also in (compare(lands, longer), compare(longer, lands)):
+        assert max(found_also.apart).after_s == 12.0, "until the first of them stands"
     assert by(found, "duration_s") == 55.0
     assert by(found, "flight_s") == 0.0
 

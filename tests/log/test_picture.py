@@ -231,9 +231,12 @@ def test_times_and_values_stand_at_their_places_in_a_chart_of_1000_by_100() -> N
         assert f">{label}</span>" in strip
     tops = re.findall(r'class="row" style="top:([\d.]+)%"', strip)
     assert tops == ["18", "50", "82"]
-    heights = re.findall(r'class="y" style="bottom:([\d.]+)%">([\d.]+)<', charts[0])
-    assert heights == [("0.0", "0"), ("60.1", "5")]
+    heights = [re.findall(r'class="y" style="bottom:([\d.]+)%">([-\d.]+)<', c) for c in charts]
+    assert heights[0] == [("0.0", "0"), ("60.1", "5")]
+    assert heights[1] == [("3.7", "-1"), ("34.6", "0"), ("65.4", "1"), ("96.3", "2")]
     assert '<line x1="0" x2="1000" y1="39.9" y2="39.9"/>' in charts[0]
+    assert '<line x1="0" x2="1000" y1="34.6" y2="34.6"/>' in charts[1]  # 1 m/s up
+    assert ['<div class="chart last">' in chart for chart in charts] == [False] * 4 + [True]
 
 
 def test_the_picture_has_east_to_the_right_north_up_and_a_bar_for_each_span() -> None:
@@ -253,6 +256,33 @@ def test_the_picture_has_east_to_the_right_north_up_and_a_bar_for_each_span() ->
         *((3, 10.0, 15.0), (3, pytest.approx(50.0 / 300), 40.0)),  # else it could not be seen
     ]
     assert axes.set_ylim.call_args.args == (3.5, -0.5), "the phase is on top"
+    for east, north in ((-30.0, -12.0), (-12.0, -30.0)):  # to 10 m beyond the take-off point
+        story = FlightSummary("flight.mcap", 0.0, 50.0)
+        story.track.add(1.0, north, east)
+        story.track.add(2.0, 10.0 if north < east else 0.0, 10.0 if east < north else 0.0)
+        _draw_track(story, axes)
+        limits = axes.set_xlim.call_args.args, axes.set_ylim.call_args.args
+        wide, narrow = pytest.approx((-32.0, 12.0)), pytest.approx((-28.0, 16.0))
+        assert limits == ((wide, narrow) if east < north else (narrow, wide))
+
+
+def test_the_picture_has_a_panel_below_the_other_and_times_below_the_last(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    plots = MagicMock()
+    monkeypatch.setattr("m100link.log.picture.of_extra", lambda *_: plots)
+    picture(marked(), width_px=700)
+    assert plots.Figure.call_args.kwargs["figsize"] == (14, 9)
+    assert plots.Figure.call_args.kwargs["dpi"] == 50.0, "700 of 14 inches"
+    figure = plots.Figure.return_value
+    assert figure.add_gridspec.call_args.args == (6, 2)
+    grid, axes = figure.add_gridspec.return_value, figure.add_subplot.return_value
+    places = [call.args[0] for call in grid.__getitem__.call_args_list]
+    assert places[2:] == [(row, 1) for row in range(6)]
+    labels = [call.kwargs.get("labelbottom") for call in axes.tick_params.call_args_list]
+    assert labels[-5:] == [False] * 4 + [True]
+    alarms = [one.args for one in axes.axvspan.call_args_list if one.kwargs["color"] == "#d64545"]
+    assert alarms[:2] == [(15.0, 25.0), (40.0, pytest.approx(40.0 + 50.0 / 300))]
 
 
 @pytest.mark.parametrize(
@@ -285,8 +315,18 @@ def test_the_track_is_drawn_with_north_up_in_pieces_of_a_phase() -> None:
     flown = re.search(r'<section class="track">(.*?)</section>', text, re.DOTALL)
     assert flown is not None
     assert flown[1].index("#9aa0a6") < flown[1].index("#3b7dd8"), "the ground first"
-    assert "home" in flown[1]
+    for drawn in (
+        '<circle cx="200.0" cy="376.0" r="6"',
+        '<text x="209.0" y="370.0" text-anchor="start" fill="currentColor">home</text>',
+        '<circle cx="24.0" cy="24.0" r="3.5" fill="currentColor"',  # where it is at last
+        '<path d="M12 388v4h176.0v-4"',  # ten metres
+        '<text x="392.0" y="14.0" text-anchor="end"',
+    ):
+        assert drawn in flown[1]
     later = marked()
+    later.phases = [Span("ground", 0.0, 9.0), Span("take-off", 9.0, 15.0), Span("flight", 15.0, 50)]
+    pieces = re.findall(r'polyline points="(\S+ \S+)" fill="none" stroke="([^"]*)"', page(later))
+    assert [colour for _, colour in pieces] == ["#9aa0a6", "#e8a33d", "#3b7dd8"], "two places each"
     later.phases = []
     assert "#b07cc6" in page(later).split("Over time")[0].split("Track over")[1]
 

@@ -199,6 +199,10 @@ async def test_a_version_that_comes_late_is_that_of_the_flight(tmp_path: Path) -
 
 def test_a_log_without_counters_has_a_quality_too() -> None:
     assert line_quality(FlightSummary("x")).startswith("0 frames damaged or cut off (0.0 %)")
+    line = {"frames_received": 30, "discards": {"header_crc": 6, "length": 4}}
+    assert line_quality(FlightSummary("x", line=line)).startswith(
+        "10 frames damaged or cut off (25.0 %)"
+    )
 
 
 # -- logs of other writers, and with bits turned over ----------------------------------------------

@@ -361,6 +361,7 @@ def test_it_lands_by_itself_unless_a_command_of_this_flight_asked(
 @pytest.mark.parametrize(
     ("gaps", "ends_s", "silences", "longest"),
     [
+        ([0.25, 0.5, 0.75, 0.6], 2.1, [], 0.75),
         ([0.5, 1.0], 1.5, [], 1.0),
         ([0.5, 1.25], 1.75, [(0.5, 1.75, "1.2")], 1.25),
         ([0.5, 3.0, 2.0], 5.5, [(0.5, 3.5, "3.0"), (3.5, 5.5, "2.0")], 3.0),
