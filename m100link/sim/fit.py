@@ -196,7 +196,6 @@ class _Replay:
         control = FlightController(AircraftSettings(height_limit=math.inf), airframe)
         motion, remote = control.dynamics, PilotRemote()
         motion.place(0.0, 0.0, self._height)
-        control.now = -math.inf
         motion.resume(self._start, self._turning, self._velocity)  # type: ignore[arg-type] # three each
         moves, place, rows = self.moves, 0, []
         heading = self._start[2]
