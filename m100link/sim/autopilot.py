@@ -182,19 +182,15 @@ class Autopilot:
         self.vehicle.log("an encrypted frame could not be read: the keys differ")
         self.endpoint.acknowledge(frame, encode_code(code), now=now, encrypted=False)
 
-    def _push(self, data: bytes) -> None:
-        self._send(encode_frame(data, session=0, sequence=self._next_sequence()))
+    def _push(self, frame: bytes) -> None:
+        self._sequence = (self._sequence + 1) & 0xFFFF
+        self._send(frame)
 
     def _send(self, frame: bytes) -> None:
         self._outbox.append(frame)
         if len(self._outbox) > self.OUTBOX_LIMIT:
             self._outbox.popleft()
             self.counters.dropped_frames += 1
-
-    def _next_sequence(self) -> int:
-        sequence = self._sequence
-        self._sequence = (sequence + 1) & 0xFFFF
-        return sequence
 
     # --- time -------------------------------------------------------------------------------
 
@@ -215,8 +211,7 @@ class Autopilot:
                 self.notify(notification)
         frame = self._telemetry.frame(self._sequence)
         if frame is not None:
-            self._next_sequence()
-            self._send(frame)
+            self._push(frame)
 
     def _tell_of_losses(self) -> None:
         """Notify the onboard device of each loss of authority not reported to it yet."""
@@ -230,7 +225,7 @@ class Autopilot:
         """Send a notification as it declares or in another mode, repeated where it wants an ack."""
         data = notification.encode(self.profile)
         if (mode or notification.SESSION_MODE) is SessionMode.NO_ACK:
-            self._push(data)
+            self._push(encode_frame(data, session=0, sequence=self._sequence))
             return
         assert self._power_on is not None
         now = self._power_on + self.vehicle.time

@@ -82,8 +82,6 @@ class ScaledEventLoop(asyncio.SelectorEventLoop):
         if not speed > 0.0:
             self.close()  # a loop that was begun must be ended
             raise ValueError(f"speed must be above 0, got {speed}")
-        # Timers due within one tick of the clock count as due; the tick is scaled, too.
-        self._clock_resolution = time.get_clock_info("monotonic").resolution * speed
 
     @property
     def speed(self) -> float:

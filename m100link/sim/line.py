@@ -24,7 +24,7 @@ from m100link.protocol.packet import remember
 from m100link.sim.vehicle.dynamics import STEPS_PER_SECOND
 from m100link.sim.vehicle.sensors import Sensors
 from m100link.wire.crc import SEQUENCE_CRC16, frame_crc32, header_crc16
-from m100link.wire.frame import HEADER_SIZE, MAX_FRAME_SIZE, SOF
+from m100link.wire.frame import HEADER_SIZE, SOF
 
 # -- the telemetry push: which items are due, what they say, and a quick road to the bytes ---------
 # Each item has its own rate; packets go out at the highest rate among them and carry only what is
@@ -205,7 +205,7 @@ def split_frames(data: bytes) -> list[bytes]:
     start = 0
     while len(data) - start >= HEADER_SIZE and data[start] == SOF:
         length = data[start + 1] | (data[start + 2] & 0x03) << 8
-        if not HEADER_SIZE <= length <= min(MAX_FRAME_SIZE, len(data) - start):
+        if length < HEADER_SIZE:
             break
         pieces.append(data[start : start + length])
         start += length

@@ -101,31 +101,31 @@ def test_faults_add_up_until_they_are_cleared() -> None:
 
 
 @pytest.mark.parametrize(
-    "order",
+    ("order", "why"),
     [
-        "",
-        "fly-away",
-        "rc-mode",
-        "rc-mode Q",
-        "stick",
-        "stick roll=2",
-        "stick rudder=1",
-        "gps 9",
-        "gps x",
-        "gps",
-        "battery 120",
-        "rates battery=7",
-        "rates fuel=1",
-        "faults bite=1",
-        "faults loss=2",
-        "wind 3",
-        "key 123",
-        "message hex=zz",
-        "api maybe",
+        ("", "an order needs a word"),
+        ("fly-away", "no action called 'fly-away'"),
+        ("rc-mode", "no position ''"),
+        ("rc-mode Q", "no position 'Q'"),
+        ("stick", "nothing is no stick"),
+        ("stick roll=2", "2.0 lies outside -1"),
+        ("stick rudder=1", "rudder is no stick"),
+        ("gps 9", "0 to 5, not 9"),
+        ("gps x", "'x' is not a number"),
+        ("gps", "a number is missing"),
+        ("battery 120", "0 to 100 percent, not 120"),
+        ("rates battery=7", "cannot be sent at 7 Hz"),
+        ("rates fuel=1", "no telemetry item is called 'fuel'"),
+        ("faults bite=1", "no fault is called 'bite'"),
+        ("faults loss=2", "0 to 1, not 2"),
+        ("wind 3", "a number is missing"),
+        ("key 123", "64 hex digits are needed"),
+        ("message hex=zz", "message: non-hexadecimal"),
+        ("api maybe", "neither on nor off"),
     ],
 )
-def test_orders_that_cannot_be_carried_out_say_why(order: str) -> None:
-    with pytest.raises(UsageError):
+def test_orders_that_cannot_be_carried_out_say_why(order: str, why: str) -> None:
+    with pytest.raises(UsageError, match=why):
         perform(VirtualAircraft(), order)
 
 

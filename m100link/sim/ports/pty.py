@@ -78,12 +78,10 @@ class PtyPort:
         self._driver = driver
         self._link = None if link is None else Path(link)
         self._follow_baud_rate = follow_baud_rate
-        self._master = self._slave = -1
         self._partial = b""
         self._blocked_since: float | None = None
         self._full_since: float | None = None
         self.flushes = 0
-        self.device = ""
         self.backlog = Backlog()
         self._open()
         driver.attach(self)

@@ -460,6 +460,7 @@ def test_no_two_options_have_the_same_name() -> None:
         ("loss=much", "loss is a number"),
         ("loss=2", "loss is 0 to 1"),
         ("cold=maybe", "cold is 1 or 0"),
+        ("rc-lost-reads=old", "rc-lost-reads is zeros or kept, not 'old'"),
         ("firmware=9", "no firmware profile"),
         ("key=short", "key"),
         ("level=7", "level"),

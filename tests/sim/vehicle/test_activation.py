@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -287,6 +288,10 @@ def test_an_app_that_the_server_refuses_cannot_be_active_from_the_start() -> Non
     server.is_refusing = True
     with pytest.raises(ValueError, match="refuses"):
         VirtualAircraft(activated=True, server=server)
+    aircraft = VirtualAircraft(level=1)
+    aircraft.credentials = replace(aircraft.credentials, level=2)
+    with pytest.raises(ValueError, match="does not cover the requested level"):
+        aircraft.activate()
 
 
 # --- version query --------------------------------------------------------------------------
