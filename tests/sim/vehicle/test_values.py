@@ -417,9 +417,13 @@ def test_height_counts_from_where_it_stands() -> None:
 def test_a_gimbal_turns_for_half_a_second_at_180_degrees_a_second_at_most(
     rates: tuple[float, float, float], turned: tuple[float, float, float]
 ) -> None:
-    gimbal = GimbalMount()
+    gimbal, vehicle = GimbalMount(), Vehicle(Random(1), profile("3.1"))
     yaw, roll, pitch = rates
-    gimbal.turn(GimbalSpeed(yaw_deg_s=yaw, roll_deg_s=roll, pitch_deg_s=pitch), 7.0)
+    for one, now in ((gimbal, 7.0), (vehicle.gimbal, vehicle.time)):
+        one.turn(GimbalSpeed(yaw_deg_s=yaw, roll_deg_s=roll, pitch_deg_s=pitch), now)
     for step in range(1, 200):
         gimbal.advance(7.0 + step / 100, 0.01)
-    assert (gimbal.yaw, gimbal.roll, gimbal.pitch) == pytest.approx(turned, abs=1.9)
+        vehicle.step()
+    for one, step_s in ((gimbal, 0.01), (vehicle.gimbal, 0.05)):
+        found = one.yaw, one.roll, one.pitch
+        assert found == pytest.approx(turned, abs=180.0 * step_s + 0.1), step_s
