@@ -238,6 +238,11 @@ def test_braking_aims_for_where_it_will_stand() -> None:
     motion.velocity_north, motion.velocity_east = 0.16, -0.08
     motion.step(DynamicsInput())
     assert (motion._hold_north, motion._hold_east) == pytest.approx((0.1, -0.05))
+    for velocity in ((0.1, 5.0), (5.0, 0.1)):
+        fast = hovering()
+        fast.velocity_north, fast.velocity_east = velocity
+        fast.step(DynamicsInput())
+        assert not fast._brake, "first it becomes slower"
 
 
 def test_tilt_stays_below_the_cruise_tilt_in_velocity_control() -> None:
