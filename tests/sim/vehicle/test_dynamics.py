@@ -414,13 +414,14 @@ def test_body_rates_turn_the_quaternion() -> None:
 
 
 def test_wind_is_held_against_by_tilting_into_it() -> None:
-    motion = hovering()
-    motion.wind_north = 6.0
+    """From behind and from the right: the nose goes up, and the left side."""
+    motion, drag = hovering(), Airframe().drag
+    motion.wind_north, motion.wind_east = 6.0, -4.0
     run(motion, DynamicsInput(ModelHorizontal.POSITION, 0.0, 0.0), 30.0)
-    assert motion.north == pytest.approx(0.0, abs=0.02)
-    assert math.tan(motion.pitch) * GRAVITY == pytest.approx(
-        Airframe().drag * 6.0 * -1.0 * -1.0, rel=0.02
-    ), "the nose goes up to fly backwards against wind from behind"
+    assert (motion.north, motion.east) == pytest.approx((0.0, 0.0), abs=0.02)
+    assert math.tan(motion.pitch) * GRAVITY == pytest.approx(drag * 6.0, rel=0.02)
+    sideways = math.tan(motion.roll) / math.cos(motion.pitch) * GRAVITY
+    assert sideways == pytest.approx(drag * 4.0, rel=0.02)
 
 
 def test_without_position_control_wind_carries_it_away() -> None:
