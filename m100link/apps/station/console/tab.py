@@ -265,7 +265,7 @@ class Tab:
         The message may have waited on its way: its page let go after the time of the station that
         it had heard then.
         """
-        if self.session.begin_anew(at=message.get("told", -math.inf)):
+        if self.session.begin_anew(at=message.get("told", 0.0)):  # no time: before any STOP
             self._has_to_let_go, self._late_since = "", None
 
     def _heard_beat(self, message: dict[str, Any], at: float) -> None:
