@@ -144,7 +144,7 @@ Row = tuple[float, ...]  # one value of each signal
 class SpanFlight(NamedTuple):
     """A span as it was recorded and as the virtual aircraft flies it, a row for each step."""
 
-    begin: float
+    times: list[float]  # of the rows, s by the recording
     recorded: list[Row]
     flown: list[Row]
 
@@ -153,8 +153,7 @@ class _Replay:
     """One span, prepared once and flown with many airframes."""
 
     def __init__(self, recording: FlightRecording, attitude: Series, span: TimeSpan) -> None:
-        self.begin = span.begin
-        self._times = [
+        self.times = [
             span.begin + step * STEP_S for step in range(1, int((span.end - span.begin) / STEP_S))
         ]
         self._start = _at(attitude, span.begin)
@@ -172,9 +171,9 @@ class _Replay:
         self._height = _HIGH
         if by_height and recording.height:
             self._height = _newest(recording.height, span.begin, recording.height[0][1])
-        self._battery = [_newest(recording.battery, now, 100.0) for now in self._times]
+        self._battery = [_newest(recording.battery, now, 100.0) for now in self.times]
         self.recorded: list[Row] = []
-        for now in self._times:
+        for now in self.times:
             angles, velocity = _at(attitude, now), _at(recording.velocity, now)
             self.recorded.append((*map(math.degrees, angles), *velocity[:3]))
 
@@ -199,7 +198,7 @@ class _Replay:
         motion.resume(self._start, self._turning, self._velocity)  # type: ignore[arg-type] # three each
         moves, place, rows = self.moves, 0, []
         heading = self._start[2]
-        for now, battery in zip(self._times, self._battery, strict=True):
+        for now, battery in zip(self.times, self._battery, strict=True):
             while place < len(moves) and moves[place][0] <= now - STEP_S + _SAME_S:
                 control.now, move = moves[place]
                 control.move(move)
@@ -253,7 +252,7 @@ class ReplayedSpans:
 
     def fly(self, airframe: Airframe) -> list[SpanFlight]:
         """Fly all spans."""
-        return [SpanFlight(one.begin, one.recorded, one.fly(airframe)) for one in self._replays]
+        return [SpanFlight(one.times, one.recorded, one.fly(airframe)) for one in self._replays]
 
 
 # -- residuals -------------------------------------------------------------------------------------

@@ -380,13 +380,12 @@ def _drawn(found: Sequence[tuple[str, list[SpanFlight]]]) -> bytes:
         for place, (signal, unit) in enumerate(SIGNALS.items()):
             axes = grid[place][column]
             for number, one in enumerate(flights):
-                times = [one.begin + step / 100.0 for step in range(len(one.flown))]
                 for rows, colour, label in (
                     (one.recorded, "#667", "recorded"),
                     (one.flown, "#d64545", "virtual"),
                 ):
-                    values = [row[place] for row in rows]
-                    axes.plot(times, values, color=colour, lw=1.0, label=None if number else label)
+                    values, named = [row[place] for row in rows], None if number else label
+                    axes.plot(one.times, values, color=colour, lw=1.0, label=named)
             axes.set_ylabel(f"{signal}, {unit}")
             axes.grid(alpha=0.3)
         grid[0][column].set_title(name, parse_math=False)

@@ -7,6 +7,7 @@ from dataclasses import fields, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import MagicMock, call
 
 import pytest
 
@@ -26,7 +27,7 @@ from m100link.protocol.records import (
 )
 from m100link.protocol.setpoint import ControlMode, Horizontal, ReferenceFrame, Vertical, Yaw
 from m100link.sim import read_airframe
-from m100link.sim.fit import Fit, FlightRecording, Found, Residual, SpanFlight
+from m100link.sim.fit import SIGNALS, Fit, FlightRecording, Found, Residual, SpanFlight
 from tests.apps.cli.conftest import CommandLine
 
 rosbag1 = pytest.importorskip("rosbags.rosbag1", reason="the extra `analysis` is not installed")
@@ -400,7 +401,7 @@ def test_what_was_fitted_is_told_and_written_with_its_error(
             self.names = [one.name for one in recordings]
 
         def fly(self, airframe: Any) -> Any:
-            return [SpanFlight(0.0, [], [()] * 250)] * (2 if airframe == fitted else 1)
+            return [SpanFlight([], [], [()] * 250)] * (2 if airframe == fitted else 1)
 
     def fit(replays: Any, begin: Any, _: object) -> Fit:
         asked.append((replays.names, begin))
@@ -440,3 +441,18 @@ def test_what_was_fitted_is_told_and_written_with_its_error(
         *(("a", "document"), ("b", "document"))
     ]
     assert cli("sim", "compare", "--json").status == ExitCode.USAGE
+
+
+def test_a_picture_of_a_fit_has_each_row_at_its_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    matplotlib = MagicMock()
+    grid = [[MagicMock()] for _ in SIGNALS]
+    matplotlib.Figure.return_value.subplots.return_value = grid
+    monkeypatch.setattr(sim_fit, "of_extra", lambda *_: matplotlib)
+    recorded, flown = ([(begin + step,) * 6 for step in (0.0, 1.0)] for begin in (1.0, 3.0))
+    sim_fit._drawn([("a", [SpanFlight([5.03, 5.04], [*recorded], [*flown])])])
+    for [axes] in grid:
+        assert [drawn.args for drawn in axes.plot.call_args_list] == [
+            ([5.03, 5.04], [1.0, 2.0]),
+            ([5.03, 5.04], [3.0, 4.0]),
+        ]
+    assert [axes.set_xlabel.call_args for [axes] in grid] == [None] * 5 + [call("s")]
