@@ -419,7 +419,7 @@ def page_seeds() -> list[bytes]:
     said = [
         beat,
         beat | told | {"n": 2, "x": 0.5},
-        *(told | {"op": op, "n": 3, "at": 1e3} for op in ("alive", "rest")),
+        *(more | {"op": op, "n": 3, "at": 1e3} for more in (told, {}) for op in ("alive", "rest")),
         {"op": "stop", "n": 4, "at": 1e3, "press": 1},
     ]
     return [json.dumps(one).encode() for one in said]
