@@ -205,7 +205,7 @@ class Linear:
         self.asked.append(airframe)
         north = 10.0 * airframe.drag + 0.3 * (airframe.vertical_drag - START.vertical_drag)
         row = 0.0, 0.0, 0.0, north, 0.0, 0.2 * airframe.thrust_exponent
-        return [SpanFlight(0.0, self.recorded[0], [row] * 36)]
+        return [SpanFlight([], self.recorded[0], [row] * 36)]
 
 
 START = Airframe(drag=0.3)
