@@ -155,7 +155,7 @@ def by_index(stream: IO[bytes], topic: str) -> tuple[list[RawMessage], Any] | No
     parts = {one.chunk_start_offset + _HEAD.size: one for one in summary.chunk_indexes}
     for at, part in parts.items():  # each once, however often it is named
         if reader._wanted & part.message_index_offsets.keys():
-            body = reader._read(at, part.chunk_length - _HEAD.size)
+            body = reader._read(at, part.chunk_length)  # it says itself where it ends
             inside = reader._inside(_unpacked(body))
             found += [one for one in inside if isinstance(one, RawMessage)]
     if len(found) != sum(counts.get(channel, 0) for channel in reader._wanted):
@@ -183,7 +183,7 @@ class _Reader:
         self._is_searched = False  # for channels that no part declares
         self._has_parts = False
         self._data_end = 0  # where all parts have ended
-        self._head = -1, b""  # the newest that was asked for, and its place
+        self._head = self._size, b""  # the newest that was asked for, and its place
         self._is_summary_whole = False
         self._counted: dict[int, int] = {}
 
@@ -459,10 +459,8 @@ def _unpacked(body: bytes) -> bytes:
         # By pieces: a frame of lz4 need not say how much it holds.
         unpacker = import_module("lz4.frame").LZ4FrameDecompressor()
         data = unpacker.decompress(packed, max_length=min(size, _MAX_RECORD) + 1)
-    elif not compression:
-        data = packed
     else:
-        raise ValueError(f"the compression {compression!r}")
+        data = packed
     # Bytes with the right checksum are those that were written, whatever size the head states.
     if crc32(data) != checksum if checksum else len(data) != size:
         raise ValueError("its checksum is wrong")
@@ -479,11 +477,12 @@ def _parsed(kind: int, body: bytes) -> Record | None:
         name, at = _text(body, 2)
         encoding, at = _text(body, at)
         data, _ = _bytes(body, at)
-        return RecordedSchema(_short(body, 0), name, encoding, data)
+        return RecordedSchema(int.from_bytes(body[:2], "little"), name, encoding, data)
     if kind == _CHANNEL:
         topic, at = _text(body, 4)
         encoding, _ = _text(body, at)
-        return RecordedChannel(_short(body, 0), _short(body, 2), topic, encoding)
+        number, schema = struct.unpack_from("<HH", body)
+        return RecordedChannel(number, schema, topic, encoding)
     if kind == _METADATA:
         name, at = _text(body, 0)
         pairs, _ = _bytes(body, at)
@@ -493,10 +492,6 @@ def _parsed(kind: int, body: bytes) -> Record | None:
             values[key], at = _text(pairs, at)
         return Metadata(name, values)
     return EndOfLog() if kind == _FOOTER else None
-
-
-def _short(body: bytes, at: int) -> int:
-    return body[at] | body[at + 1] << 8
 
 
 def _bytes(body: bytes, at: int) -> tuple[bytes, int]:

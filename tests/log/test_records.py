@@ -9,8 +9,11 @@ import struct
 from pathlib import Path
 
 import pytest
+from mcap.writer import CompressionType, Writer
 
 from m100link.log import read, recorder, recover
+from m100link.log import records as records_module
+from m100link.log.damage import Losses
 from m100link.log.records import RawMessage, _bytes, _length_of_part, _unpacked, records
 from tests.log.flight import flown
 
@@ -201,3 +204,84 @@ def test_a_part_that_says_of_itself_more_than_64_mib_is_none(held: int, length: 
     """A chunk (MCAP, op 6): times 16, size 8, CRC 4, name of the compression 4 + 4, size 8."""
     head = b"\x06" + bytes(8) + bytes(16) + bytes(8) + bytes(4) + b"\x04\0\0\0" + b"zstd"
     assert _length_of_part(head + held.to_bytes(8, "little")) == length
+
+
+# -- twenty messages of a known size, two in each part: what exactly is kept and reported ----------
+
+
+def small(compression: CompressionType = CompressionType.ZSTD) -> bytes:
+    stream = io.BytesIO()
+    writer = Writer(stream, chunk_size=150, compression=compression, enable_data_crcs=True)
+    writer.start(library="m100link 9")
+    channel = writer.register_channel("/a", "", 0)
+    for number in range(20):
+        writer.add_message(channel, number, bytes([number]) * 90, number, number)
+    writer.finish()  # type: ignore[no-untyped-call] # of mcap
+    return stream.getvalue()
+
+
+def put(data: bytes, at: int, new: bytes) -> bytes:
+    return data[:at] + new + data[at + len(new) :]
+
+
+def longer(data: bytes, at: int, by: int) -> bytes:
+    return put(data, at, (int.from_bytes(data[at : at + 8], "little") + by).to_bytes(8, "little"))
+
+
+def kept(stream: io.BytesIO) -> tuple[list[int], tuple[tuple[int, int], ...], int]:
+    """Numbers of the messages, the damaged places, and bytes of a record that was cut off."""
+    losses = Losses()
+    found = [one for one in records(stream, losses=losses) if isinstance(one, RawMessage)]
+    damage = losses.damage()
+    return [one.sequence for one in found], damage.places, damage.cut_bytes
+
+
+def test_each_kind_of_damage_costs_and_is_reported_as_its_bytes_alone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A part (MCAP, op 6): op 1, length 8, head 36 and its name 4, length of the records 8."""
+    for kind in CompressionType:
+        assert kept(io.BytesIO(small(kind))) == ([*range(20)], (), 0)
+    whole = small()
+    every, size = [*range(20)], len(whole)
+    (begin, end), (behind, _), *_, (last, last_end) = parts(whole)[4:]
+    others = [*range(8), *range(10, 20)]
+    # The part says another length than its inside: it is read, and its head is a damaged place.
+    wrong = [longer(whole, begin + 1, 3), put(whole, begin + 8, b"\x7f")]
+    wrong.append(longer(whole, begin + 45, 200))  # of the inside: zstd knows where it ends
+    for data in wrong:
+        assert kept(io.BytesIO(data)) == (every, ((begin, begin + 9),), 0)
+    data = put(wrong[0], end, bytes(9))
+    assert kept(io.BytesIO(data)) == (every, ((begin, begin + 9), (end, behind)), 0)
+    numbers, places, _ = kept(io.BytesIO(put(whole, end, bytes(9))))
+    assert (numbers, places[-1]) == (every, (end, behind))
+    data = put(whole, last + 8, b"\x7f")[:last_end]
+    assert kept(io.BytesIO(data)) == (every, ((last, last + 9),), 0)
+    first, first_end = parts(whole)[0]
+    data = whole[:8] + put(whole, first + 8, b"\x7f")[first:first_end]
+    assert kept(io.BytesIO(data)) == ([0, 1], ((8, 17),), 0)
+    data = changed(whole, end - 10)
+    assert kept(io.BytesIO(data)) == (others, ((begin, end),), 0)
+    # The next part is found wherever it lies in what is looked through at once.
+    data = put(whole, begin, bytes(end - begin))
+    for window in (60, 80, 100):
+        monkeypatch.setattr(records_module, "_WINDOW", window)
+        assert kept(io.BytesIO(data)) == (others, ((begin, behind),), 0), window
+    for cut in (begin + 12, begin + 60, end - 5):
+        assert kept(io.BytesIO(whole[:cut])) == ([*range(8)], (), cut - begin)
+    assert kept(io.BytesIO(whole[: end + 11])) == ([*range(10)], (), 11)
+    head = longer(longer(whole, begin + 1, 1 << 20), begin + 45, 1 << 20)[: begin + 60]
+    data = head + bytes(100) + whole[-8:]
+    assert kept(io.BytesIO(data)) == ([*range(8)], ((begin, len(data)),), 0), "it has its end"
+    # Statistics (op 11) of a strange length; the checksum of the summary covers them.
+    summary = whole.index(b"\x0f\x04" + bytes(7)) + 13
+    place = whole.index(b"\x0b" + (56).to_bytes(8, "little"), summary)
+    data = longer(whole, place + 1, 3)
+    data = data[: place + 65] + b"abc" + data[place + 65 :]
+    assert kept(io.BytesIO(data)) == (every, ((summary, size + 3 - 8),), 0)
+    growing = io.BytesIO(whole[: begin + 60])
+    found = records(growing)
+    started = [next(found)]
+    growing.seek(0, 2)
+    growing.write(whole[begin + 60 :])
+    assert [*started, *found] == list(records(io.BytesIO(whole[: begin + 60])))
