@@ -114,8 +114,8 @@ class _Plan:
         self.size = calcsize("<H" + whole)  # bytes of the packet
         tick, status = self.span(Time, "tick"), self.span(FlightStatus, "status")
         self.tick: Callable[[bytes], tuple[int]] | None = None
-        if tick.stop - tick.start in _UNSIGNED:
-            self.tick = Struct(f"<{tick.start}x{_UNSIGNED[tick.stop - tick.start]}").unpack_from
+        if kind := _UNSIGNED.get(tick.stop - tick.start):
+            self.tick = Struct(f"<{tick.start}x{kind}").unpack_from
         self.status = _bytes_at(status) if status.stop else None
         mode, device = self.span(RemoteControl, "mode"), self.span(ControlDevice, "control")
         self.control = _bytes_at(mode, device)

@@ -35,7 +35,7 @@ from m100link.protocol import (
     profile,
 )
 from m100link.protocol.items import BY_RECORD, ITEMS, RecordViews
-from m100link.protocol.packet import _plan, fitting_profiles, telemetry_size
+from m100link.protocol.packet import _plan, fitting_profiles, plan_of, telemetry_size
 from m100link.protocol.records import in_body, quaternion
 from tests.support import load_vectors
 
@@ -60,6 +60,8 @@ def test_golden_telemetry_both_ways(vector: dict[str, Any]) -> None:
     assert found.raw_items() == vector["items"]
     rows = {name: list(fields.values()) for name, fields in vector["items"].items()}
     assert encode_telemetry(rows, firmware) == value
+    read = plan_of(value, firmware).tick  # alone, for the clock
+    assert (read and read(value)[0]) == vector["items"].get("time", {"tick": None})["tick"]
 
 
 @pytest.mark.parametrize("vector", VECTORS, ids=range(len(VECTORS)))
