@@ -240,7 +240,7 @@ class _Commands(App):
             examples[0] for verb, examples in EXAMPLES.items() if verb.startswith(below)
         ]
         lines = "".join(f"\n  {line}" for line in (shown[:2] if chain else _FIRST))
-        console.print(f"Examples:{lines}", markup=False, highlight=False, soft_wrap=True)
+        console.print(f"Examples:{lines}", highlight=False, soft_wrap=True)
 
 
 def _version() -> str:

@@ -45,10 +45,11 @@ class TextConsole(Console):
         return super().render_str(printable(text, keeps=LINES), **options)
 
 
-out = TextConsole(highlight=False)
+# A bracket in the text of a stranger is a bracket: nothing here has a style by its signs.
+out = TextConsole(highlight=False, markup=False)
 """Standard output: data."""
 
-err = TextConsole(stderr=True, highlight=False)
+err = TextConsole(stderr=True, highlight=False, markup=False)
 """Standard error: messages."""
 
 
@@ -178,7 +179,8 @@ class ConnectionOptions:
 
             return Credentials(DEMO_APP_ID, DEMO_KEY, level=app.level)
         if app.origins.get("key") == "command line":
-            err.print("[yellow]warning:[/] --key shows the key to every user who lists processes")
+            seen = "warning: --key shows the key to every user who lists processes"
+            err.print(seen, style="yellow")
         credentials = app.credentials()
         if credentials is None:
             raise UsageError(

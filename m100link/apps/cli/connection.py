@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from rich.table import Table
+from rich.text import Text
 
 from m100link import __version__
 from m100link.aircraft import Aircraft
@@ -117,7 +118,7 @@ def _print_rows(rows: dict[str, str], described: dict[str, Any]) -> None:
     if mismatches := described["telemetry_mismatches"]:
         rows["warning"] = f"{mismatches} telemetry packages do not fit this firmware"
     for name, value in rows.items():
-        table.add_row(f"[bold]{name}[/]", value)
+        table.add_row(Text(name, "bold"), value)
     out.print(table)
 
 
@@ -264,23 +265,23 @@ def _print(measured: dict[str, Any]) -> None:
 def _print_trips(trips: dict[str, Any]) -> None:
     if not trips["count"]:
         return
-    out.print(f"[bold]answers[/] after {trips['mean_ms']:g} ms on average; up to")
+    out.print(f"answers after {trips['mean_ms']:g} ms on average; up to")
     most = max(trips["up_to_ms"].values())
     for bound, count in trips["up_to_ms"].items():
         if count:
             bar = "█" * max(1, round(_BAR * count / most))
             unit = "" if bound == "more" else " ms"
-            out.print(f"{bound + unit:>9} {count:>6} {bar}", markup=False)
+            out.print(f"{bound + unit:>9} {count:>6} {bar}")
 
 
 # -- ``m100link doctor``, ``ports`` and ``udev``: why is the line silent? --------------------------
 
 
 _MARKS = {
-    Verdict.GOOD: "[green]✓[/]",
-    Verdict.DOUBTFUL: "[yellow]![/]",
-    Verdict.FAILED: "[bold red]✗[/]",
-    Verdict.SKIPPED: "[dim]–[/]",
+    Verdict.GOOD: Text("✓", "green"),
+    Verdict.DOUBTFUL: Text("!", "yellow"),
+    Verdict.FAILED: Text("✗", "bold red"),
+    Verdict.SKIPPED: Text("–", "dim"),
 }
 
 _EXIT_CODES = {
@@ -322,7 +323,7 @@ def doctor(
     tell(described, lambda: _conclude(found))
     if report is not None:
         _write_report(report, described)
-        err.print(f"written: {report}", markup=False)
+        err.print(f"written: {report}")
     return status
 
 
@@ -372,8 +373,8 @@ def _diagnosed(place: ConnectionOptions, *, authority: bool) -> Report:
 
 
 def _tell(finding: Finding) -> None:
-    out.print(f"{_MARKS[finding.verdict]} {finding.stage.title:<29} ", end="")
-    out.print(finding.seen, markup=False, soft_wrap=True)
+    out.print(_MARKS[finding.verdict], f"{finding.stage.title:<29} ", end="")
+    out.print(finding.seen, soft_wrap=True)
     if finding.verdict is Verdict.DOUBTFUL:
         _advise(finding)
 
@@ -383,7 +384,6 @@ def _advise(finding: Finding) -> None:
         for number, line in enumerate(lines, start=1):
             out.print(
                 f"    {title if number == 1 else '':<7}{number}. {line}",
-                markup=False,
                 soft_wrap=True,
             )
 
@@ -394,9 +394,9 @@ def _conclude(found: Report) -> None:
         _advise(failure)
         out.print("more: m100link docs silent-line")
     elif found.doubts:
-        out.print("[yellow]it works, with the doubts above[/]")
+        out.print("it works, with the doubts above", style="yellow")
     else:
-        out.print("[green]no stage found a fault[/]")
+        out.print("no stage found a fault", style="green")
 
 
 async def _agrees() -> bool:
@@ -449,12 +449,12 @@ async def first_contact(
         try:
             if report is not None:
                 _write_report(report, described)
-                err.print(f"written: {report}", markup=False)
+                err.print(f"written: {report}")
         finally:  # no error of the one costs the other
             if name is not None and contact.found:
                 _remember(configuration, name, place.url, contact)
         if contact.ended_by:
-            err.print(f"it ended early: {contact.ended_by}", markup=False)
+            err.print(f"it ended early: {contact.ended_by}")
 
     contact: Contact = await meet(
         place.url,
@@ -464,7 +464,7 @@ async def first_contact(
         baud_rate=app.baud_rate,
         timeout=app.timeout,
         tell=(lambda _: None) if as_json() else _tell_observation,
-        say=lambda text: err.print(text, style="bold", markup=False),
+        say=lambda text: err.print(text, style="bold"),
         keep=keep,
     )
     if not contact.is_given_back:
@@ -479,24 +479,25 @@ def _remember(configuration: Configuration, name: str, url: str, contact: Contac
         found["acceleration"] = mode.found
     found["seen"] = {"on": f"{datetime.now(UTC):%Y-%m-%d}", **contact.found}
     remember(configuration, name, url, found)
-    err.print(f"kept in {shown(configuration.path)} [aircraft.{name}]", markup=False)
+    err.print(f"kept in {shown(configuration.path)} [aircraft.{name}]")
 
 
 def _tell_observation(one: Observation) -> None:
-    mark = "[yellow]![/]" if one.differs else "[green]✓[/]" if one.is_seen else "[dim]–[/]"
-    out.print(f"{mark} {one.topic.question:<42} ", end="")
+    seen = Verdict.GOOD if one.is_seen else Verdict.SKIPPED
+    mark = _MARKS[Verdict.DOUBTFUL if one.differs else seen]
+    out.print(mark, f"{one.topic.question:<42} ", end="")
     what = f"{one.found}: {one.seen}" if one.is_seen else f"not seen: {one.seen}"
     if one.differs:
         what += f" (the virtual aircraft: {one.topic.assumed})"
-    out.print(what, markup=False, soft_wrap=True)
+    out.print(what, soft_wrap=True)
 
 
 async def _asked(text: str) -> bool:
     """Have the person do something; without a terminal nobody does."""
     if not sys.stdin.isatty():
-        err.print(f"{text} No: there is no terminal to answer on.", markup=False)
+        err.print(f"{text} No: there is no terminal to answer on.")
         return False
-    err.print(f"{text} [y/N] ", end="", markup=False)
+    err.print(f"{text} [y/N] ", end="")
     return (await read_line()).lower() in ("y", "yes")
 
 
@@ -609,8 +610,8 @@ def udev(
             cause="only root may write there",
             remedy=f"m100link udev {device} | sudo tee {RULES_FILE}",
         ) from error
-    err.print("now: sudo udevadm control --reload", markup=False)
-    err.print(f"then plug the adapter in again: its port is /dev/{link.name}", markup=False)
+    err.print("now: sudo udevadm control --reload")
+    err.print(f"then plug the adapter in again: its port is /dev/{link.name}")
     return tell({"file": str(RULES_FILE), "port": f"/dev/{link.name}"}, f"written: {RULES_FILE}")
 
 

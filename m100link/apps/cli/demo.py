@@ -182,7 +182,7 @@ def _flights(record: Path | None) -> Flights:
 
 def _say(text: str, level: str) -> None:
     if level != "info":  # where it is stands in the summary
-        err.print(text, style="yellow", markup=False)
+        err.print(text, style="yellow")
 
 
 async def _mission(
@@ -254,11 +254,11 @@ def _progress(flight: _Flight) -> Group:
     table = Table(box=None, show_header=False, pad_edge=False)
     for stage in _STAGES:
         if stage in flight.stages:
-            table.add_row("[green]✓[/]", stage, f"{flight.stages[stage]:.1f} s")
+            table.add_row(Text("✓", "green"), stage, f"{flight.stages[stage]:.1f} s")
         elif stage == flight.stage:
-            table.add_row("[yellow]…[/]", f"[bold]{stage}[/]", flight.note)
+            table.add_row(Text("…", "yellow"), Text(stage, "bold"), flight.note)
         else:
-            table.add_row("·", f"[dim]{stage}[/]", "")
+            table.add_row("·", Text(stage, "dim"), "")
     parts: list[Any] = [table]
     if flight.track:
         north, east = flight.track[-1]
@@ -321,7 +321,7 @@ def _print_summary(flight: _Flight, summary: dict[str, Any]) -> None:
         ),
         ("time", f"{summary['seconds']:.1f} s flown in {summary['real_seconds']:.1f} s"),
     ):
-        numbers.add_row(f"[bold]{name}[/]", value)
+        numbers.add_row(Text(name, "bold"), value)
     out.print(table)
     out.print(numbers)
     if flight.track:
@@ -330,7 +330,7 @@ def _print_summary(flight: _Flight, summary: dict[str, Any]) -> None:
         out.print(Columns(Text("\n".join(picture)) for picture in (track, height)))
     if flight.recording is not None:
         quoted = shlex.quote(flight.recording)
-        out.print(f"recorded in {flight.recording}", markup=False, soft_wrap=True)
-        out.print(f"to read it: m100link log report {quoted}", markup=False, soft_wrap=True)
+        out.print(f"recorded in {flight.recording}", soft_wrap=True)
+        out.print(f"to read it: m100link log report {quoted}", soft_wrap=True)
         text = f"to see it again, with the extra station: m100link replay {quoted}"
-        out.print(text, markup=False, soft_wrap=True)
+        out.print(text, soft_wrap=True)

@@ -218,7 +218,7 @@ async def results_of(
 def say(*lines: str, to: Console = out) -> None:
     """Print lines as they are."""
     for line in lines:
-        to.print(line, markup=False, soft_wrap=True)
+        to.print(line, soft_wrap=True)
 
 
 def write_out(target: File, text: str, *, force: bool) -> None:
@@ -258,7 +258,7 @@ def tell_results(results: dict[str, Result], options: FleetOptions) -> int:
     bad = [result for result in results.values() if not result.is_ok]
     if bad and not as_json():
         sys.stdout.flush()
-        err.print(f"{len(results) - len(bad)} ok, {len(bad)} not", markup=False)
+        err.print(f"{len(results) - len(bad)} ok, {len(bad)} not")
     return ExitCode.FAILED if bad else ExitCode.OK
 
 

@@ -93,7 +93,7 @@ def fly(
 
 
 def _confirm(name: str, plan: WaypointPlan, *, take_off: bool) -> None:
-    err.print(f"{name}: {announced(plan)}. Ctrl-C stops it.", markup=False)
+    err.print(f"{name}: {announced(plan)}. Ctrl-C stops it.")
     _ask(f"{name} may fly this", f"{'take off and ' if take_off else ''}fly this mission?")
 
 
@@ -123,7 +123,7 @@ class _Show:
         if isinstance(event, MissionProgress) and event.distance_m is None:
             return
         done = f"{len(self._reached)} of {len(self._plan.waypoints)}"
-        out.print(f"{self._name}: {done}  {words}", markup=False)
+        out.print(f"{self._name}: {done}  {words}")
 
     def stopped(self) -> str:
         """The outcome of a mission that this program left before its end."""

@@ -270,7 +270,7 @@ async def watch(
         heard = FleetTelemetry(fleet.bus, asker.keys, full=True, on_sample=tell)
         await ended.wait()
         heard.close()
-        err.print(f"{heard.received[name]} packages", markup=False)
+        err.print(f"{heard.received[name]} packages")
     if gone is not None:
         raise gone
     if not heard.received[name]:
@@ -301,7 +301,7 @@ async def lease(
         tell(facts, words)
         await ended.wait()
         if not as_json():
-            err.print(f"{name}: control goes back: it hovers", markup=False)
+            err.print(f"{name}: control goes back: it hovers")
 
 
 # -- ``m100link fleet log``: the flight logs that lie on board -------------------------------------

@@ -223,7 +223,7 @@ async def _end_mission(aircraft: Aircraft, control: Control) -> None:
     try:
         kind = await control.stop_mission()
     except (MissionRefused, AckTimeout) as error:
-        err.print(f"{error}\nlanding all the same", markup=False)
+        err.print(f"{error}\nlanding all the same")
         return
     if kind is not MissionKind.NONE:
         err.print(f"stopped: {kind.value}")
@@ -259,7 +259,7 @@ async def confirm(aircraft: Aircraft, what: str) -> None:
     if not sys.stdin.isatty():
         raise UsageError(f"{what} was not confirmed", remedy="give --yes where no terminal can ask")
     err.print(f"{aircraft.link.name}: firmware {aircraft.firmware}")
-    err.print(f"Clear of people? Really {what}? \\[y/N] ", end="")
+    err.print(f"Clear of people? Really {what}? [y/N] ", end="")
     if (await read_line()).lower() not in ("y", "yes"):
         raise UsageError(f"{what} was not confirmed", remedy="answer y, or give --yes")
 

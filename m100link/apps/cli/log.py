@@ -247,7 +247,7 @@ def _print_comparison(found: Comparison, first: str, second: str) -> None:
     for title, lines in (("commands", found.commands), ("alarms", found.alarms)):
         out.print(f"{title}: {'the same' if not lines else ''}")
         for line in lines:
-            out.print(f"  {line}", markup=False, soft_wrap=True)
+            out.print(f"  {line}", soft_wrap=True)
 
 
 def _shown(value: float | None, sign: str = "") -> str:
@@ -420,16 +420,16 @@ def info(file: Log, /, *, firmware: AsFlown = None) -> int:
         for span in getattr(story, name):
             text = f"  {span.text}" if span.text else ""
             times = f"{clock(span.begin_s):>8} to {clock(span.end_s):<8}"
-            out.print(f"  {name:<8} {times} {span.name}{text}", markup=False, soft_wrap=True)
+            out.print(f"  {name:<8} {times} {span.name}{text}", soft_wrap=True)
     if story.ended is not None:
-        out.print(f"ended: {story.ended}", markup=False)
+        out.print(f"ended: {story.ended}")
     out.print(f"{summary.bytes_received:,} bytes received, {summary.bytes_sent:,} sent")
     if story.line:
-        out.print(f"line: {line_quality(story)}", markup=False, soft_wrap=True)
+        out.print(f"line: {line_quality(story)}", soft_wrap=True)
     for topic, count in sorted(summary.messages.items()):
         out.print(f"  {count:>8}  {topic}")
     if not summary.is_whole:
-        out.print(f"not whole: {summary.damage}", markup=False, soft_wrap=True)
+        out.print(f"not whole: {summary.damage}", soft_wrap=True)
         out.print(f"to save the rest as a whole file: m100link log recover {file}", soft_wrap=True)
     return status(flight)
 
@@ -455,9 +455,9 @@ def report_file(file: Log, /, *, firmware: AsFlown = None) -> int:
         flown = str(one.flown) if one.at_s - shown_at >= 0.1 else ""
         shown_at = one.at_s if flown else shown_at
         text = f"{one.at_s:9.2f} s  {one.text}" + (f"\n{'':13}[{flown}]" if flown else "")
-        out.print(text, markup=False, soft_wrap=True, highlight=False)
+        out.print(text, soft_wrap=True, highlight=False)
     if not as_json():
-        out.print(f"line: {line_quality(story)}", markup=False, soft_wrap=True)
+        out.print(f"line: {line_quality(story)}", soft_wrap=True)
     return status(flight)
 
 

@@ -173,7 +173,7 @@ def _find(pages: list[_Page], topic: str | None, wanted: str) -> int:
         tell(facts, f"{where}: {line} [{heading}]")
     if not found:
         where = "that page" if topic else "the manual"
-        err.print(f"no paragraph of {where} has {wanted!r}", markup=False)
+        err.print(f"no paragraph of {where} has {wanted!r}")
     return ExitCode.OK if found else ExitCode.FAILED
 
 
@@ -413,16 +413,16 @@ def _in_force(configuration: Configuration, aircraft: str | None) -> dict[str, d
 
 
 def _print(configuration: Configuration, in_force: dict[str, dict[str, Any]]) -> None:
-    out.print(shown(configuration.path), style="bold", markup=False, end="")
+    out.print(shown(configuration.path), style="bold", end="")
     if not configuration.exists:
         out.print(" does not exist. An example:\n")
-        out.print(_EXAMPLE, markup=False)
+        out.print(_EXAMPLE)
     else:
         out.print()
         names = Table(box=None, pad_edge=False, show_header=False)
         for name, table in configuration.aircraft.items():
             is_default = name == configuration.default
-            names.add_row(name, Text(table["url"]), "[dim]by default[/]" if is_default else "")
+            names.add_row(name, Text(table["url"]), Text("by default" * is_default, "dim"))
         out.print(names)
     values = Table("in force", "", "from", box=None, pad_edge=False)
     for name, one in in_force.items():

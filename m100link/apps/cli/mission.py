@@ -95,7 +95,6 @@ def fly(
     err.print(
         f"{announced(found)}. Ctrl-C stops it. On Linux, a guardian stops it if this program is "
         "killed.",
-        markup=False,
     )
     flight = in_control(
         place,
@@ -130,7 +129,7 @@ async def _fly(flight: _InControl, plan: WaypointPlan, *, take_off: bool, allow_
         # Printed when the control block has ended: with Ctrl-C that is what stops the mission.
         gone = "output closed: " if isinstance(error, ReaderGone) else ""
         for words in left:
-            err.print(gone + words(), markup=False, soft_wrap=True)
+            err.print(gone + words(), soft_wrap=True)
         if gone:  # elsewhere that is success; here it ended a flight
             return ExitCode.FAILED
         raise
@@ -200,7 +199,7 @@ class _Show:
         elif isinstance(event, MissionProgress):
             self._draw()
         else:
-            self._live.console.print(words, markup=False)
+            self._live.console.print(words)
 
     def _bar(self, done: int) -> str:
         width = 20
@@ -241,7 +240,7 @@ class _Show:
         """The track stays in the terminal."""
         if self._live is not None:
             for line in self._map():
-                out.print(line, markup=False)
+                out.print(line)
 
 
 def announced(plan: WaypointPlan) -> str:

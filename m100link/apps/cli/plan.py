@@ -184,9 +184,9 @@ def show(
     words = *_choices(found), f"about {made}", *(f"! {remark}" for remark in found.remarks())
     return tell(
         {"estimate": asdict(made), "remarks": found.remarks()} | read_json(found.to_json()),
-        lambda: out.print(*_pictures(found, max(20, min(out.width, 100))), sep="\n", markup=False),
+        lambda: out.print(*_pictures(found, max(20, min(out.width, 100))), sep="\n"),
         lambda: out.print("", _table(found, is_wide=out.width >= _WIDE), sep="\n"),
-        lambda: out.print("", *words, sep="\n", markup=False),
+        lambda: out.print("", *words, sep="\n"),
     )
 
 

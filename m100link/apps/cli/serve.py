@@ -120,7 +120,7 @@ def require_packages() -> None:
 def show(settings: Settings, aircraft: str) -> None:
     """Print the settings of an aircraft, and where each came from."""
     if aircraft != ONLY_NAME and not as_json():
-        out.print(f"[{aircraft}]", markup=False)
+        out.print(f"[{aircraft}]")
     for name in settings.__dataclass_fields__:
         if name in ("origins", "unused"):
             continue
@@ -160,7 +160,9 @@ async def _running(
             return
         ((name, settings),) = aircraft.items()
         if sys.platform == "win32" and not (settings.is_virtual or settings.is_replay):
-            err.print("[yellow]warning:[/] on Windows one process both flies and serves clients")
+            err.print(
+                "warning: on Windows one process both flies and serves clients", style="yellow"
+            )
         run: Any = running_apart(settings, begun) if is_apart else running(settings, **served)
         one = await enter(run)
         for event in one.agent.journal.events:
@@ -204,7 +206,7 @@ def tell_event(
         return
     style = {"warning": "yellow", "error": "red"}.get(event.level)
     text = f"{name}: {event.text}" if is_named else event.text
-    teller.do(lambda: err.print(text, style=style, markup=False, soft_wrap=True))
+    teller.do(lambda: err.print(text, style=style, soft_wrap=True))
 
 
 class _Station(Protocol):
@@ -245,7 +247,7 @@ def _announce(aircraft: dict[str, Settings], running: _Station) -> None:
         return
     for name, urls in served.items():
         if urls:
-            out.print(f"{name + ':':10} {', '.join(urls)}", markup=False, soft_wrap=True)
+            out.print(f"{name + ':':10} {', '.join(urls)}", soft_wrap=True)
 
 
 def _nodes(aircraft: dict[str, Settings]) -> list[str]:
@@ -258,8 +260,9 @@ def _nodes(aircraft: dict[str, Settings]) -> list[str]:
 
 def _tell_unused(settings: Settings) -> None:
     if settings.unused:
-        err.print("[yellow]warning:[/] the launch file has parameters that nothing reads: ", end="")
-        err.print(", ".join(settings.unused), markup=False)
+        unused = ", ".join(settings.unused)
+        text = f"warning: the launch file has parameters that nothing reads: {unused}"
+        err.print(text, style="yellow")
 
 
 def warn_of(settings: Settings) -> None:
@@ -267,13 +270,15 @@ def warn_of(settings: Settings) -> None:
     _tell_unused(settings)
     if settings.is_plain_beyond_loopback():
         err.print(
-            "[yellow]warning:[/] without TLS everybody on this network can read the token and "
-            "fly the aircraft: give --tls-cert and --tls-key, unless you trust the network"
+            "warning: without TLS everybody on this network can read the token and "
+            "fly the aircraft: give --tls-cert and --tls-key, unless you trust the network",
+            style="yellow",
         )
     if "null" in settings.allow_origin:
         err.print(
-            "[yellow]warning:[/] --allow-origin null admits pages opened from files, and "
-            "sandboxed frames of any web page"
+            "warning: --allow-origin null admits pages opened from files, and "
+            "sandboxed frames of any web page",
+            style="yellow",
         )
 
 

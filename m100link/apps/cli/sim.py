@@ -313,7 +313,8 @@ async def _show(plan: _Plan, ports: list[str], ended: asyncio.Event) -> None:
     view = LiveView(plan.aircraft[0], ports)
     loop = asyncio.get_running_loop()
     deadline = None if plan.duration is None else loop.time() + plan.duration
-    with keys_pressed(view.press), Live(view.render(), auto_refresh=False, screen=True) as live:
+    shown = Live(view.render(), console=out, auto_refresh=False, screen=True)
+    with keys_pressed(view.press), shown as live:
         while not ended.is_set() and (deadline is None or loop.time() < deadline):
             live.update(view.render(), refresh=True)
             await until(0.1, ended.wait())

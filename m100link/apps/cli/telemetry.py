@@ -127,7 +127,6 @@ def _tell(silent: list[str]) -> None:
         err.print(
             f"{name} is at 0 Hz: no package carries it; set its rate in the PC assistant",
             style="yellow",
-            markup=False,
         )
 
 
@@ -190,7 +189,7 @@ def _rates_table(measured: dict[str, Any]) -> Table:
         table.add_column(title, justify="left" if title == "item" else "right", no_wrap=True)
     for name, values in measured["items"].items():
         if not values["count"]:
-            table.add_row(f"[dim]{name}[/]", "[dim]0[/]", "[dim]0[/]")
+            table.add_row(name, "0", "0", style="dim")
             continue
         cells = (
             name,
@@ -360,14 +359,14 @@ def _table(aircraft: Aircraft) -> Table:
         value, age = aircraft.state.get(record), aircraft.state.age(record)
         statistics = aircraft.state.statistics(record)
         if value is None or age is None:
-            table.add_row(f"[dim]{item.name}[/]", "[dim]0 Hz so far[/]")
+            table.add_row(item.name, "0 Hz so far", style="dim")
             continue
         style = "dim" if age > _STALE_S else ""
         rate = statistics.rate_hz
         cells = (
             item.name,
             describe(value),
-            f"{age * 1000:.0f} ms" if age < _STALE_S else f"[red]{age:.1f} s[/]",
+            f"{age * 1000:.0f} ms" if age < _STALE_S else Text(f"{age:.1f} s", "red"),
             "" if rate is None else f"{rate:.1f}",
             "" if statistics.jitter_s is None else f"{statistics.jitter_s * 1000:.1f} ms",
         )

@@ -269,14 +269,14 @@ def complain(error: BaseException) -> int:
     from rich.console import Console
 
     # A line in a pipe stays one, so that no path in it breaks.
-    err = Console(stderr=True, highlight=False, soft_wrap=not sys.stderr.isatty())
-    err.print("[bold red]error:[/] ", end="")
+    err = Console(stderr=True, highlight=False, markup=False, soft_wrap=not sys.stderr.isatty())
+    err.print("error: ", style="bold red", end="")
     text = str(error)
     for written, typed in _TYPED.items():
         text = text.replace(written, typed)
     if isinstance(error, errors.M100Error):
         text += f"\n  code:         {error.error_code}"
-    err.print(printable(text, keeps=LINES), markup=False)
+    err.print(printable(text, keeps=LINES))
     return exit_code(error)
 
 

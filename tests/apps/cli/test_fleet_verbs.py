@@ -22,8 +22,8 @@ pytest.importorskip("zenoh")
 
 from m100link.apps.agent.messages import RemoteError
 from m100link.apps.agent.orders import Right
+from m100link.apps.cli import common, fleet_verbs
 from m100link.apps.cli import fleet as fleet_commands
-from m100link.apps.cli import fleet_verbs
 from m100link.apps.cli.fleet import lease_file
 from m100link.apps.cli.fleet_verbs import _link, app
 from m100link.apps.cli.terminal import ExitCode
@@ -66,6 +66,15 @@ def test_the_list_names_a_clock_by_which_a_signed_order_would_be_refused(
 def test_the_list_says_what_would_refuse_the_first_order(connection: str) -> None:
     card = Card("a1", "boot", time.time(), connection, fault=RemoteError("M100-X", "no key"))
     assert _link(card) == f"{connection}: no key"
+
+
+def test_brackets_in_the_words_of_a_stranger_are_shown(capsys: pytest.CaptureFixture[str]) -> None:
+    """As a style they would hide a part of a name, or end the list with a traceback."""
+    fault = RemoteError("M100-X", "no [/] key")
+    cards = {"a1": Card("a1", "b", time.time(), "connected", holder="[red]anna", fault=fault)}
+    common.out.print(fleet_verbs._table(["a1"], cards))
+    shown = capsys.readouterr().out
+    assert ("[/] key" in shown, "[red]anna" in shown) == (True, True), shown
 
 
 # -- a right that the fleet file here does not give -----------------------------------------------

@@ -246,7 +246,7 @@ def test_on_a_terminal_it_is_shown_live_and_has_keys(tmp_path: Path) -> None:
 
 
 def shown(view: LiveView) -> str:
-    console = Console(width=200, file=io.StringIO())
+    console = Console(width=200, file=io.StringIO(), markup=False)
     with console.capture() as captured:
         console.print(view.render())
     return captured.get()

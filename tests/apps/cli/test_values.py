@@ -89,7 +89,7 @@ def anyio_backend() -> object:
 def rows(table: Table) -> dict[str, list[str]]:
     """Cells of each row behind its first one, as they are printed; the caption by its last line."""
     written = io.StringIO()
-    Console(file=written, width=200).print(table)
+    Console(file=written, width=200, markup=False).print(table)
     lines = [line.split() for line in written.getvalue().splitlines() if line.strip()]
     return {line[0]: line[1:] for line in lines} | {"last": lines[-1]}
 
@@ -121,7 +121,7 @@ def measured(age_s: float = 0.25) -> Any:
 
 @pytest.fixture
 def wide(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(telemetry, "out", Console(width=200, file=io.StringIO()))
+    monkeypatch.setattr(telemetry, "out", Console(width=200, file=io.StringIO(), markup=False))
 
 
 @pytest.mark.usefixtures("wide")
@@ -813,7 +813,7 @@ def test_a_key_of_a_simulator_is_in_one_place() -> None:
 def said(monkeypatch: pytest.MonkeyPatch) -> Any:
     """What verbs print on both streams, at a terminal of 200 columns, line by line."""
     written = io.StringIO()
-    screen = Console(file=written, width=200, highlight=False)
+    screen = Console(file=written, width=200, highlight=False, markup=False)
     for module in (connection, flight, mission, telemetry):
         monkeypatch.setattr(module, "out", screen, raising=False)
         monkeypatch.setattr(module, "err", screen, raising=False)
@@ -1122,6 +1122,15 @@ def test_an_observation_is_told_beside_what_the_virtual_aircraft_does(
     assert [" ".join(line.split()) for line in said()] == [shown.format("answers to releasing")]
 
 
+def test_a_fault_ends_the_report_with_its_causes_and_what_to_do(said: Any) -> None:
+    failure = SimpleNamespace(causes=("a [cable]", "b"), commands=("ls [a-z]",))
+    connection._conclude(cast("Any", SimpleNamespace(failure=failure, doubts=())))
+    assert said() == [
+        *("    likely 1. a [cable]", "           2. b", "    to do  1. ls [a-z]"),
+        "more: m100link docs silent-line",
+    ]
+
+
 @pytest.mark.parametrize(
     ("answer", "agrees"), [("y", True), ("YES", True), ("", False), ("n", False), ("yess", False)]
 )
@@ -1283,7 +1292,7 @@ def test_two_flights_are_compared_in_words(monkeypatch: pytest.MonkeyPatch) -> N
         return SimpleNamespace(name=name, first=first, second=second, by=by)
 
     written = io.StringIO()
-    monkeypatch.setattr(log, "out", Console(file=written, width=200))
+    monkeypatch.setattr(log, "out", Console(file=written, width=200, markup=False))
     values = [value("way, m", 12.0, 10.5, -1.5), value("photos", None, 3.0, None)]
     values += [value("none", None, None, None), value("alarms", 1.0, 3.0, 2.0)]
     log._print_comparison(
@@ -1330,7 +1339,7 @@ def test_an_event_is_told_with_its_aircraft_in_the_log_or_in_words(
     level: str, is_named: bool, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     written = io.StringIO()
-    monkeypatch.setattr(serve, "err", Console(file=written, width=20))
+    monkeypatch.setattr(serve, "err", Console(file=written, width=20, markup=False))
     teller: Any = SimpleNamespace(do=lambda work: work())
     event: Any = SimpleNamespace(level=level, text="a very long [text] of what happened")
     words: Any = SimpleNamespace(log_json=False)
@@ -1358,7 +1367,7 @@ def test_settings_that_are_dangerous_are_told(
     given: dict[str, Any], says: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     written = io.StringIO()
-    monkeypatch.setattr(serve, "err", Console(file=written, width=300))
+    monkeypatch.setattr(serve, "err", Console(file=written, width=300, markup=False))
     serve.warn_of(Settings(**given))
     assert says in written.getvalue()
     assert bool(written.getvalue()) is bool(says)
