@@ -52,6 +52,7 @@ from tests.waiting import PATIENCE
         ("fly", "sim://", "1", "0", "0", "--max-height", "0"),
         ("sim", "--duration", "0"),
         ("sim", "--count", "0"),
+        ("sim", "--latitude", "95"),
         ("demo", "--speed", "0"),
         ("demo", "--speed", "1000"),
         ("demo", "--side", "0.5"),

@@ -323,6 +323,9 @@ def test_a_report_of_the_doctor_overwrites_nothing(cli: CommandLine, tmp_path: P
     assert (outcome.status, outcome.out) == (2, "")
     assert "is there already" in outcome.err.replace("\n", " ")
     assert old.read_text(encoding="utf-8") == "{}"
+    outcome = cli("doctor", "sim://", "--report", str(tmp_path / "no" / "report.json"))
+    assert (outcome.status, outcome.out) == (2, "")
+    assert "cannot be written" in outcome.err.replace("\n", " ")
 
 
 def test_a_first_contact_asks_reports_and_is_remembered(

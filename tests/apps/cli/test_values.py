@@ -587,6 +587,19 @@ async def test_each_simulated_aircraft_has_a_port(
     assert served == ([7000, 7001] if tcp == ("h", 7000) else [0, 0] if tcp else [])
 
 
+async def test_a_port_of_a_simulator_that_is_taken_is_named(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async def serve_tcp(*_: object) -> Any:
+        raise OSError(98, "it is taken")
+
+    monkeypatch.setattr(sim, "serve_tcp", serve_tcp)
+    monkeypatch.setattr(sim, "PtyPort", lambda *_, **__: SimpleNamespace(name="pty"))
+    plan: Any = SimpleNamespace(link=None, tcp=("h", 7000))
+    with pytest.raises(UsageError, match="cannot listen on h:7000: it is taken"):
+        await sim._open_ports(plan, cast("Any", [0]), [])
+
+
 @pytest.mark.parametrize("speed", [0.0, -1.0, 1000.5])
 def test_a_clock_that_cannot_be_is_refused(cli: CommandLine, speed: float) -> None:
     outcome = cli("sim", "--speed", f"{speed:g}")
