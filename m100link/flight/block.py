@@ -267,7 +267,10 @@ class ControlBlock:
             return
         # The program is not waited for: it may clean up slowly, swallow its cancellation, be gone.
         if is_first:
-            self._stopping.begin()  # first: it takes less of the stack than a frame that is sent
+            try:
+                self._stopping.begin()  # first: it takes less of the stack than to send a frame
+            except Exception:  # noqa: BLE001 (without stack or memory its timer begins it, soon)
+                self._stopping.is_wanted = True
         with suppress(Exception):  # the stop path lets go first of all, and logs what it cannot
             self._stop_path.let_go()
         if is_first:

@@ -18,7 +18,6 @@ import anyio
 
 _logger = logging.getLogger(__name__)
 
-
 # asyncio.run cancels every task once as it leaves. A program that does so again and again must
 # come to an end as well, and each attempt is bounded by the waits of the stop path.
 _ATTEMPTS = 3
@@ -104,7 +103,7 @@ class ShieldedTask:
         self._work = work  # may be begun again after it was cancelled
         self._on_end = on_end  # called once, when it has ended in whatever way
         self._has_ended = False
-        self._is_wanted = False  # whether it was begun
+        self.is_wanted = False  # whether it was begun
         self._task: asyncio.Task[None] | None = None  # the present attempt, or parked for the first
         self._parked: asyncio.Future[None] | None = None  # what the parked task waits for
         self._timer: asyncio.TimerHandle | None = None
@@ -124,7 +123,7 @@ class ShieldedTask:
         # The future of the parked task is not completed here: with too little stack the task would
         # never be woken, not even by its cancellation. Without a frame for call_soon() either, the
         # timer of _look() finds this flag a tenth of a second later.
-        self._is_wanted = True
+        self.is_wanted = True
         if self._task is None or self._task.done():
             self._task = new_task(self._run(), "m100link stop path")
         elif self._parked is not None:
@@ -139,7 +138,7 @@ class ShieldedTask:
             self._timer.cancel()
         # Again and again: begin() may find no stack to call for it.
         self._timer = self._parked.get_loop().call_later(_LOOK_S, self._look)
-        if self._is_wanted:
+        if self.is_wanted:
             self._parked.set_result(None)
 
     async def ended(self) -> None:
@@ -165,27 +164,32 @@ class ShieldedTask:
             await begun
         except asyncio.CancelledError as error:
             cancelled = error
-            if not self._is_wanted:
+            if not self.is_wanted:
                 on_cancelled()
         if self._timer is not None:
             self._timer.cancel()
         await self._run(cancelled)
 
     async def _run(self, cancelled: asyncio.CancelledError | None = None) -> None:
+        attempt, failed = None, None
         try:
             for _ in range(_ATTEMPTS):
-                attempt = new_task(self._work(), "m100link attempt of the stop path")
-                cancelled = await undisturbed(attempt) or cancelled
-                if not attempt.cancelled():
-                    attempt.result()
-                    break
+                try:
+                    if attempt is None or attempt.done():
+                        attempt = new_task(self._work(), "m100link attempt of the stop path")
+                    cancelled = await undisturbed(attempt) or cancelled
+                    if not attempt.cancelled():
+                        attempt.result()
+                        break
+                except Exception as error:  # noqa: BLE001 (raised below, behind another attempt)
+                    failed = failed or error
             else:
-                _logger.error("the stop path was cancelled %d times and given up", _ATTEMPTS)
+                _logger.error("the stop path was broken off %d times and given up", _ATTEMPTS)
         finally:
             self._has_ended = True
             self._on_end()
-        if cancelled is not None:
-            raise cancelled
+        if (ended_by := failed or cancelled) is not None:
+            raise ended_by
 
 
 # -- signals take the stop path of every control block of the process, and act when it ended -------
@@ -272,9 +276,7 @@ class SignalWatch:
 
     def _forget_the_dead(self) -> None:
         """Blocks whose event loop was closed before they ended cannot be stopped any more."""
-        for stop, loop in tuple(self._blocks.items()):
-            if loop.is_closed():
-                self._blocks.pop(stop)
+        self._blocks = {stop: loop for stop, loop in self._blocks.items() if not loop.is_closed()}
 
     def _let_go(self) -> None:
         for number, previous in self._previous.items():
@@ -328,10 +330,8 @@ def _would_end_the_program(number: signal.Signals, handler: Any) -> bool:
     if number != signal.SIGINT:
         return handler is signal.SIG_DFL
     # The handler of asyncio.run cancels the main task once, and then raises.
-    is_of_asyncio = isinstance(handler, functools.partial) and isinstance(
-        getattr(handler.func, "__self__", None), asyncio.Runner
-    )
-    return handler is signal.default_int_handler or is_of_asyncio
+    owner = getattr(getattr(handler, "func", None), "__self__", None)
+    return handler is signal.default_int_handler or isinstance(owner, asyncio.Runner)
 
 
 def _other_watch(handler: Any) -> OtherWatch | None:

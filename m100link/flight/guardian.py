@@ -331,9 +331,8 @@ class Guardian(Generic[W]):
         self.update()
 
     def _is_late(self, now: int) -> bool:
-        if not self._renewed:
-            return False
-        return (now - self._renewed) & 0xFFFFFFFF >= self._patience_s * 1000
+        late_by = (now - self._renewed) & 0xFFFFFFFF
+        return self._renewed > 0 and late_by >= self._patience_s * 1000
 
     def _wait_for_it(self) -> None:
         """The program stood still for too long, and was faster than the guardian."""

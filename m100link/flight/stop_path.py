@@ -24,6 +24,7 @@ _logger = logging.getLogger(__name__)
 
 StopAction = Literal["hover", "land"]  # what the stop path does after the neutral setpoint
 
+_ATTEMPTS = 3  # of a step that ends by an error that nobody expected
 _LANDING_DEADLINE_S = 60.0
 _LANDING_RETRY_S = 0.5
 _STATUS_POLL_S = 0.1
@@ -98,11 +99,13 @@ class StopPath:
 
     def _surely(self, send: Callable[[], None]) -> None:
         """A neutral that cannot be sent must not keep the steps after it from their turn."""
-        try:
-            send()
-        except Exception as error:  # noqa: BLE001 (whatever it is: the stop path must go on)
-            self._setpoints.silence()
-            _logger.error("no neutral was sent, and nothing more will be: %s", error)
+        for left in reversed(range(_ATTEMPTS)):
+            try:
+                return send()
+            except Exception as error:  # noqa: BLE001 (whatever it is: the stop path must go on)
+                if not left:
+                    self._setpoints.silence()
+                    _logger.error("no neutral was sent, and nothing more will be: %s", error)
 
     async def run(self) -> None:
         """Every step in its turn, however the one before ended; every wait is bounded.
@@ -113,19 +116,14 @@ class StopPath:
         self._surely(self.let_go)  # what ended the block may have had no room on its stack for it
         failed: Exception | None = None
         # During a mission the aircraft ignores setpoints; after the release it obeys no landing.
-        steps = (
-            self._explain,
-            self._stop_mission,
-            self._end_setpoints,
-            self._land,
-            self._disarm,
-            self._release,
-        )
-        for step in steps:
-            try:
-                await step()
-            except Exception as error:  # noqa: BLE001 (raised below: the release must come first)
-                failed = failed or error
+        first = self._explain, self._stop_mission, self._end_setpoints
+        for step in (*first, self._land, self._disarm, self._release):
+            for _ in range(_ATTEMPTS):  # a moment without memory may be over
+                try:
+                    await step()
+                    break
+                except Exception as error:  # noqa: BLE001 (raised below: the release comes first)
+                    failed = failed or error
         if failed is not None:
             raise failed
 
@@ -194,13 +192,13 @@ class StopPath:
             try:
                 # However late it is accepted: once it is, it has all the time of a landing.
                 await run_task(self._commander, Task.LAND)
-            except (TaskRefused, AckTimeout, BadAck) as error:
-                # Unanswered, it may be flown, and the release would break it off.
-                if self._clock() < deadline:
+            except M100Error as error:
+                # Unanswered, it may be flown, and the release would break it off. Where it began
+                # and failed, perhaps the pilot broke it off.
+                is_open = isinstance(error, TaskRefused | AckTimeout | BadAck)
+                if is_open and self._clock() < deadline:
                     await asyncio.sleep(_LANDING_RETRY_S)
                     continue
-                _logger.error("the stop path could not land: %s", error)
-            except M100Error as error:  # it began and failed: perhaps the pilot broke it off
                 _logger.error("the stop path could not land: %s", error)
             return
 
@@ -246,17 +244,16 @@ class StopPath:
         await stands(self._commander.state)
         return not self._may_be_airborne(lands=self._action == "land" and self._life.plan.land)
 
-    async def _lands_by_plan(self) -> bool:
-        """Whether it goes home or lands at the end of a mission, and not by a landing of ours."""
-        return self._missions.lands_by_plan and not await self._stands()
-
     async def _release(self) -> None:
         if not self._life.plan.release:
             return
         await self._missions.settled()
         if self._leaves_another_in_flight():
             return
-        if self._has_authority and (self._missions.is_detached or await self._lands_by_plan()):
+        is_kept = self._missions.is_detached or (
+            self._has_authority and self._missions.lands_by_plan and not await self._stands()
+        )
+        if self._has_authority and is_kept:
             _logger.warning(
                 "authority is kept: what the aircraft flies by itself would end without it"
             )
@@ -267,11 +264,11 @@ class StopPath:
         """Whether authority is kept because the release would break off somebody else's mission."""
         # Not entered, too: a program that is gone may have obtained what this one would give back.
         may_have_it = self._has_authority or self._life.cause is StopCause.NOT_ENTERED
-        if not may_have_it or not self._missions.is_of_another:
-            return False
-        _logger.warning(
-            "authority is not given back: a %s flies that this block did not start, and would be "
-            "broken off; stop_mission() ends it, or the pilot's mode switch",
-            self._missions.flying,
-        )
-        return True
+        is_left = may_have_it and self._missions.is_of_another
+        if is_left:
+            _logger.warning(
+                "authority is not given back: a %s flies that this block did not start, and would "
+                "be broken off; stop_mission() ends it, or the pilot's mode switch",
+                self._missions.flying,
+            )
+        return is_left

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
+import pkgutil
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack
 
@@ -303,6 +304,40 @@ async def test_a_step_that_fails_does_not_keep_the_release_from_its_turn(
                 monkeypatch.setattr("m100link.flight.stop_path.run_task", explode)
         flown.assert_stopped_in_order()
         assert flown.is_released
+
+
+@pytest.mark.parametrize(
+    "what",
+    [
+        *("stop_path.StopPath.let_go", "stop_path.StopPath.run", "stop_path.StopPath._land"),
+        *("stop_path.StopPath._end_setpoints", "stop_path.StopPath._release"),
+        *("stop_path.run_task", "stop_path.release_authority", "guardian.Guardian.end"),
+        *("cancellation.ShieldedTask.begin", "cancellation.undisturbed"),
+    ],
+)
+async def test_one_call_without_memory_keeps_no_step_of_an_ending_from_its_turn(
+    monkeypatch: pytest.MonkeyPatch, what: str
+) -> None:
+    name = f"m100link.flight.{what}"
+    call = pkgutil.resolve_name(name)
+    failures: list[MemoryError] = []
+
+    def fail_once(*args: object) -> object:
+        if not failures:
+            failures.append(MemoryError())
+            raise failures[0]
+        return call(*args)
+
+    async with rig() as flown:
+        with contextlib.suppress(MemoryError):
+            async with flown.aircraft.control(stop="land") as control:
+                await control.take_off()
+                await flown.fly(control)
+                monkeypatch.setattr(name, fail_once)
+    assert failures
+    flown.assert_stopped_in_order()
+    assert flown.is_released
+    assert flown.virtual.height == pytest.approx(0.0, abs=0.1)
 
 
 @pytest.mark.parametrize("kind", [UsageError, RuntimeError])
