@@ -92,6 +92,7 @@ _REASONS: dict[str, tuple[str, ...]] = {
         "apps/fleet/pki.py _kept",
         "apps/fleet/pki.py listed",
         "apps/station/ros/messages.py _base64",
+        "log/pcapng.py _Tables.made",
         "protocol/items.py ItemLayout.__post_init__",
         "protocol/items.py ItemLayout.span",
         "wire/crc.py _sequence_crc16",
