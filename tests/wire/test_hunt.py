@@ -105,14 +105,13 @@ def test_where_right_headers_are_dense_a_wrong_bit_of_a_checksum_is_seen(bit: in
 
 def test_a_header_at_the_beginning_of_a_block_is_found_in_that_block_alone() -> None:
     """The bytes behind a block, which its last headers reach into, are looked at with it."""
-    for places in ([94, 128], [128]):
-        data = bytearray(300)
-        for place in range(64, 128, 3):
-            data[place] = 0xAA
-        for place in places:
-            data[place : place + HEADER_SIZE] = raw_frame(session=3)
-        end = len(data) - HEADER_SIZE + 1
-        assert list(right_headers(bytes(data), 0, end)) == model(bytes(data), 0, end) == places
+    data = bytearray(300)
+    for place in range(64, 128, 3):
+        data[place] = 0xAA
+    for place in (94, 128):
+        data[place : place + HEADER_SIZE] = raw_frame(session=3)
+    end = len(data) - HEADER_SIZE + 1
+    assert list(right_headers(bytes(data), 0, end)) == model(bytes(data), 0, end) == [94, 128]
 
 
 def test_they_are_found_when_they_are_asked_for() -> None:
