@@ -143,6 +143,7 @@ class ShieldedTask:
 
     async def ended(self) -> None:
         """Wait for the end, raise the work's error, and pass a cancellation of the caller on."""
+        self.is_wanted = True  # also where an end had no memory to begin it: its timer sees that
         task = self._task or self.begin()
         cancelled: asyncio.CancelledError | None = None
         while not self._has_ended:

@@ -161,10 +161,10 @@ class Lifecycle:
         after = TRANSITIONS[self.state].get(what)
         if after is None:
             return False
-        self.state = after
         if isinstance(what, StopCause):
             self.cause = what
             self.failure = self.failure or failure
+        self.state = after  # last: no state without its cause
         return True
 
 

@@ -127,6 +127,14 @@ async def test_work_that_is_cancelled_before_its_first_line_is_begun_all_the_sam
     assert (work.begun, work.done, work.ended) == (1, 1, 1)
 
 
+async def test_whatever_waits_for_the_end_begins_it_where_nothing_could() -> None:
+    work = Work()
+    work.shielded.park(lambda: None)
+    async with asyncio.timeout(2.0):  # its timer looks ten times a second
+        await work.shielded.ended()
+    assert (work.begun, work.done, work.ended) == (1, 1, 1)
+
+
 @pytest.mark.parametrize("left", range(1, 40))
 async def test_parked_work_is_begun_however_little_of_the_stack_is_left(left: int) -> None:
     work = Work()
