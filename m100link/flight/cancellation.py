@@ -182,7 +182,7 @@ class ShieldedTask:
                     if not attempt.cancelled():
                         attempt.result()
                         break
-                except Exception as error:  # noqa: BLE001 (raised below, behind another attempt)
+                except (MemoryError, RecursionError) as error:  # what a moment later may be over
                     failed = failed or error
             else:
                 _logger.error("the stop path was broken off %d times and given up", _ATTEMPTS)

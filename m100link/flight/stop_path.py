@@ -118,12 +118,14 @@ class StopPath:
         # During a mission the aircraft ignores setpoints; after the release it obeys no landing.
         first = self._explain, self._stop_mission, self._end_setpoints
         for step in (*first, self._land, self._disarm, self._release):
-            for _ in range(_ATTEMPTS):  # a moment without memory may be over
+            for _ in range(_ATTEMPTS):
                 try:
                     await step()
                     break
                 except Exception as error:  # noqa: BLE001 (raised below: the release comes first)
                     failed = failed or error
+                    if not isinstance(error, MemoryError | RecursionError):  # it will not pass
+                        break
         if failed is not None:
             raise failed
 

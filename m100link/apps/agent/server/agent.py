@@ -223,8 +223,8 @@ class Agent:
             reason = self._begin_anew
             if reason and (reason != _LOST_MEANWHILE or self.holding.has_authority):
                 self._require_anew(f"{order.label} that is asked for next is not begun")
-            if not order.ends:
-                self._require_guardian(order.label)
+            if (flying := self.holding.flying) and flying.only_ends and not order.ends:
+                raise _unguarded(order.label)
         if at <= self._stopped_at and isinstance(order, orders.Halt):
             token = ""  # it begins nothing anew
         return HANDLERS[type(order)](OrderContext(self, token, accepted), order)
@@ -274,7 +274,8 @@ class Agent:
         if self.connection.aircraft is None or not (flying and is_held and flying.has_authority):
             self.connection.require_aircraft()  # which says why, if the line is lost
             flying = self.holding.require()
-        self._require_guardian("a setpoint")
+        if flying.only_ends:
+            raise _unguarded("a setpoint")
         flying.steer(setpoint, lifetime)
 
     def _wanted(self) -> None:
@@ -296,12 +297,6 @@ class Agent:
                 remedy="look at the aircraft, then ask for control again; at a page, let go of the "
                 "keys, or press again",
             )
-
-    def _require_guardian(self, what: str) -> None:
-        if self.holding.flying is not None and self.holding.flying.only_ends:
-            seen = f"no guardian watches this flight; {what} is not flown"
-            remedy = "land or go home, and give control back; the journal says what failed"
-            raise GuardRefused(seen, guard="guardian", remedy=remedy)
 
     def hover(self, why: str = "", token: str = "") -> None:
         """Have it hover; anybody may call this at any time. A task goes on in the autopilot.
@@ -405,6 +400,12 @@ class Agent:
 
 Answer = tuple[str, int] | Lease | TakeOver | None
 """The result of an order: a text and a number, a lease, or the token of a take-over."""
+
+
+def _unguarded(what: str) -> GuardRefused:
+    seen = f"no guardian watches this flight; {what} is not flown"
+    remedy = "land or go home, and give control back; the journal says what failed"
+    return GuardRefused(seen, guard="guardian", remedy=remedy)
 
 
 class OrderContext(NamedTuple):

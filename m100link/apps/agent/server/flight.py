@@ -340,7 +340,7 @@ def limits_of(guards: Guards, origin: tuple[float, float] | None) -> GuardLimits
     limits = [math.inf] * 3
     if envelope is not None:
         limits = [envelope.max_height_m, envelope.max_radius_m, envelope.max_speed_m_s]
-    height, radius, speed = (limit if math.isfinite(limit) else None for limit in limits)
+    height, radius, speed = [limit if math.isfinite(limit) else None for limit in limits]
     latitude, longitude = origin if origin is not None else (None, None)
     return GuardLimits(height, radius, speed, guards.battery_floor_percent, latitude, longitude)
 
