@@ -54,14 +54,14 @@ async def fly(aircraft: Aircraft) -> None:
 
 @asynccontextmanager
 async def with_virtual_pilot() -> AsyncIterator[Aircraft]:
-    """A virtual aircraft whose pilot leaves F after 8 s and returns 4 s later."""
+    """A virtual aircraft whose pilot leaves F after 12 s and returns 4 s later."""
     virtual = VirtualAircraft(seed=1)
     driver = Driver(virtual)
     link = Link()
     driver.connect(link)
     await link.wait_connected()
-    asyncio.get_running_loop().call_later(8, virtual.leave_f)
-    asyncio.get_running_loop().call_later(12, virtual.return_to_f)
+    asyncio.get_running_loop().call_later(12, virtual.leave_f)
+    asyncio.get_running_loop().call_later(16, virtual.return_to_f)
     try:
         async with m100link.connect(link) as aircraft:
             yield aircraft

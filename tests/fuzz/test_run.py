@@ -14,6 +14,7 @@ from types import FrameType
 
 import pytest
 
+import m100link
 from m100link.apps.agent.background import TaskSet
 from m100link.protocol.firmware import PROFILES
 from tests.fuzz import run
@@ -24,7 +25,6 @@ from tests.fuzz.readers import WITHOUT, readers
 from tests.fuzz.run import Finding, execute
 from tests.fuzz.targets import TARGETS, Target
 from tests.fuzz.worlds import Take, World
-from tests.test_house import PACKAGE
 
 SEED = 20151121
 
@@ -60,11 +60,12 @@ def test_every_reader_is_run_by_the_seeds_of_a_target_or_says_why_not() -> None:
             finally:
                 sys.setprofile(before)
         target.begin()
+    installed = Path(m100link.__file__).parent  # perhaps not the tree's
     places = ((Path(one.co_filename), one.co_qualname) for one in ran)
     known = {
-        f"{path.relative_to(PACKAGE)} {name}"
+        f"{path.relative_to(installed)} {name}"
         for path, name in places
-        if path.is_relative_to(PACKAGE)
+        if path.is_relative_to(installed)
     }
     assert found - known - WITHOUT.keys() == set(), "give it a target: its bytes are others'"
 

@@ -594,7 +594,9 @@ STOP_CAUSE = Recipe(
         Part(
             "its plan",
             (Edit(_LIFECYCLE, "    _C.GUARD_REFUSED: _OURS,\n", "    _C.TOO_HOT: _OURS,\n"),),
-            noticed_by=("-c", "import m100link.flight.lifecycle"),
+            noticed_by=test_of(
+                f"{_TEST_LIFECYCLE}::test_each_cause_has_the_plan_that_it_leaves_possible"
+            ),
             named="TOO_HOT",
         ),
         Part(
