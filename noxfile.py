@@ -434,7 +434,7 @@ def side_by_side(
     started: list[subprocess.Popen[str]] = []
     idlers: list[subprocess.Popen[str]] = []
     over = threading.Event()
-    widths = (*(max(1, width) for _, width in lanes), len(BESIDE))
+    widths = (*(width for _, width in lanes), len(BESIDE))
     with contextlib.ExitStack() as stack:
         *pools, aside = (stack.enter_context(ThreadPoolExecutor(width)) for width in widths)
         running = {

@@ -182,7 +182,7 @@ class ShieldedTask:
                     if not attempt.cancelled():
                         attempt.result()
                         break
-                except (MemoryError, RecursionError) as error:  # what a moment later may be over
+                except (MemoryError, RecursionError) as error:  # perhaps over in a moment
                     failed = failed or error
             else:
                 _logger.error("the stop path was broken off %d times and given up", _ATTEMPTS)

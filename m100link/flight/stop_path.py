@@ -24,7 +24,7 @@ _logger = logging.getLogger(__name__)
 
 StopAction = Literal["hover", "land"]  # what the stop path does after the neutral setpoint
 
-_ATTEMPTS = 3  # of a step that ends by an error that nobody expected
+_ATTEMPTS = 3  # of a step for which memory or stack did not suffice
 _LANDING_DEADLINE_S = 60.0
 _LANDING_RETRY_S = 0.5
 _STATUS_POLL_S = 0.1
@@ -252,10 +252,10 @@ class StopPath:
         await self._missions.settled()
         if self._leaves_another_in_flight():
             return
-        is_kept = self._missions.is_detached or (
-            self._has_authority and self._missions.lands_by_plan and not await self._stands()
+        is_left = self._missions.is_detached or (
+            self._missions.lands_by_plan and self._has_authority and not await self._stands()
         )
-        if self._has_authority and is_kept:
+        if is_left and self._has_authority:  # asked again: that took time
             _logger.warning(
                 "authority is kept: what the aircraft flies by itself would end without it"
             )

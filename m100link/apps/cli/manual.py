@@ -422,7 +422,7 @@ def _print(configuration: Configuration, in_force: dict[str, dict[str, Any]]) ->
         names = Table(box=None, pad_edge=False, show_header=False)
         for name, table in configuration.aircraft.items():
             is_default = name == configuration.default
-            names.add_row(name, Text(table["url"]), Text("by default" * is_default, "dim"))
+            names.add_row(name, Text(table["url"]), Text("by default" if is_default else "", "dim"))
         out.print(names)
     values = Table("in force", "", "from", box=None, pad_edge=False)
     for name, one in in_force.items():
