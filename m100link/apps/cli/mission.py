@@ -6,7 +6,7 @@ import asyncio
 import math
 import sys
 from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine
-from contextlib import AbstractAsyncContextManager, asynccontextmanager
+from contextlib import AbstractAsyncContextManager, asynccontextmanager, nullcontext
 from dataclasses import asdict
 from typing import Annotated, Any
 
@@ -162,14 +162,11 @@ class _Show:
     async def watching(self) -> AsyncIterator[None]:
         """The map follows the aircraft in here."""
         follower = asyncio.create_task(self._follow())
-        if self._live is not None:
-            self._live.start()
         try:
-            yield
+            with self._live or nullcontext():
+                yield
         finally:
             follower.cancel()
-            if self._live is not None:
-                self._live.stop()
 
     async def _follow(self) -> None:
         samples = self._aircraft.telemetry(Position, policy=Latest(), rate_hz=_TRACK_HZ)
