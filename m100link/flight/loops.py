@@ -541,7 +541,7 @@ def _towards(
 ) -> Setpoint:
     """The setpoint towards a place: offsets at the autopilot's speed, or velocity up to one."""
     if speed is None:
-        scale = min(1.0, _MAX_OFFSET_M / distance) if distance else 0.0
+        scale = _MAX_OFFSET_M / max(distance, _MAX_OFFSET_M)
         north, east = remaining[0] * scale, remaining[1] * scale
         return Setpoint.position_offset(north=north, east=east, height=height, yaw_deg=heading)
     scale = min(BRAKING_PER_S, speed / distance) if distance else 0.0

@@ -119,6 +119,7 @@ def test_faults_add_up_until_they_are_cleared() -> None:
         ("faults bite=1", "no fault is called 'bite'"),
         ("faults loss=2", "0 to 1, not 2"),
         ("wind 3", "a number is missing"),
+        ("wind 3 nan", "wind_east is finite, not nan"),
         ("key 123", "64 hex digits are needed"),
         ("message hex=zz", "message: non-hexadecimal"),
         ("api maybe", "neither on nor off"),

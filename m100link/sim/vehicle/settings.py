@@ -8,7 +8,8 @@ a switch for each point on which the sources are silent or contradict each other
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import math
+from dataclasses import dataclass, field, fields
 from enum import Enum
 from typing import Literal
 
@@ -150,3 +151,10 @@ class AircraftSettings:
     minimum_thrust: float = 0.0
     armed_idle_seconds: float = 20.0
     reboot_seconds: float = 2.0
+
+    def __post_init__(self) -> None:
+        for one in fields(self):
+            value = getattr(self, one.name)
+            # A height without a limit is meant; any other such number would fly as a position.
+            if isinstance(value, float) and not math.isfinite(value) and one.name != "height_limit":
+                raise ValueError(f"{one.name} is finite, not {value}")

@@ -110,17 +110,19 @@ def test_settings_of_the_assistant_take_effect_at_once() -> None:
 
 
 @pytest.mark.parametrize(
-    ("settings", "words"),
+    ("kind", "settings", "words"),
     [
-        ({"rates_hz": {"wings": 1}}, "no telemetry item is called 'wings'"),
-        ({"rates_hz": {"velocity": 3}}, "velocity cannot be sent at 3 Hz"),
-        ({"baud_rate": 0}, "0 baud carries nothing"),
-        ({"acceleration": "felt"}, "not 'felt'"),
+        (AssistantSettings, {"rates_hz": {"wings": 1}}, "no telemetry item is called 'wings'"),
+        (AssistantSettings, {"rates_hz": {"velocity": 3}}, "velocity cannot be sent at 3 Hz"),
+        (AssistantSettings, {"baud_rate": 0}, "0 baud carries nothing"),
+        (AssistantSettings, {"acceleration": "felt"}, "not 'felt'"),
+        (AircraftSettings, {"heading_deg": math.nan}, "heading_deg is finite, not nan"),
+        (AircraftSettings, {"wind_east": -math.inf}, "wind_east is finite, not -inf"),
     ],
 )
-def test_settings_that_no_assistant_has_are_refused(settings: Any, words: str) -> None:
+def test_settings_that_no_aircraft_has_are_refused(kind: Any, settings: Any, words: str) -> None:
     with pytest.raises(ValueError, match=words):
-        AssistantSettings(**settings)
+        kind(**settings)
 
 
 def test_gusts_are_drawn_every_50_ms_and_remembered_for_two_seconds() -> None:
