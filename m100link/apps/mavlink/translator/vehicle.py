@@ -162,10 +162,8 @@ class MavlinkVehicle:
     @property
     def is_busy(self) -> bool:
         """Whether it cannot wait: orders, setpoints, or telemetry that comes often."""
-        manager = self.manager
-        return (
-            bool(manager.orders) or manager.running is FlightSource.STREAM or self._rates.is_often
-        )
+        is_streaming = self.manager.running is FlightSource.STREAM
+        return any((self.manager.orders, is_streaming, self._rates.is_often))
 
     # -- what comes in ---------------------------------------------------------------------------
 

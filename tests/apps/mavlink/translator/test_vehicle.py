@@ -347,6 +347,7 @@ async def test_what_is_for_another_system_or_component_is_not_done(
 async def test_the_sticks_of_a_station_fly_for_that_station(rig: Rig, ground: Ground) -> None:
     """MANUAL_CONTROL: 500 of 1000 forwards, throttle in the middle at 500."""
     await ground.fly(5.0)
+    assert not rig.vehicle.is_busy
     flown: list[float] = []
 
     async def push() -> None:
@@ -359,6 +360,7 @@ async def test_the_sticks_of_a_station_fly_for_that_station(rig: Rig, ground: Gr
         group.start_soon(push)
         await anyio.sleep(0.2)
         assert await ground.set_mode(Mode.POSCTL) is MavResult.ACCEPTED
+        assert rig.vehicle.is_busy
     assert max(flown) > 1.0
 
 
