@@ -252,7 +252,7 @@ class Feed:
     def hear_event(self, name: str, event: Event) -> None:
         said = {
             "timestamp": self._stamp(event.at),
-            "level": _LEVELS.get(event.level, 0),
+            "level": _LEVELS[event.level],
             "message": event.text,
             "name": name,
             "file": "",

@@ -119,7 +119,7 @@ def test_settings_are_shown_with_their_origin(tmp_path: Path) -> None:
         (("serve", "--sim", "--port", "99999"), "there is no port 99999"),
         (("serve", "--sim", "--also-port", "-1"), "there is no port -1"),
         (("console", "--sim", "--console-port", "65536"), "there is no port 65536"),
-        (("serve", "--sim", "--tls-cert", "/none", "--tls-key", "/none"), "TLS files"),
+        (("serve", "--sim", "--tls-cert", "/none", "--tls-key", "/none"), "used: No such file"),
     ],
 )
 def test_mistakes_are_reported_with_a_remedy(
@@ -216,8 +216,9 @@ async def test_the_end_without_an_aircraft_says_nothing_of_one(more: tuple[str, 
     )
     assert process.stderr is not None
     async with asyncio.timeout(PATIENCE):
-        while b"not connected: there is no device" not in await process.stderr.readline():
-            pass
+        for _ in ("/dev/no-port", *more):
+            while b"not connected: there is no device" not in await process.stderr.readline():
+                pass
         process.send_signal(signal.SIGINT)
         _, talk = await process.communicate()
     assert process.returncode == 0

@@ -605,6 +605,7 @@ def test_a_clock_that_cannot_be_is_refused(cli: CommandLine, speed: float) -> No
     outcome = cli("sim", "--speed", f"{speed:g}")
     assert outcome.status == ExitCode.USAGE
     assert f"the speed is {speed:g}\n  what to do:   above 0 and at most 1000" in outcome.err
+    assert "'x' is not [HOST:]PORT" in cli("sim", "--speed", "1000", "--tcp", "x").err
 
 
 def test_the_screen_of_a_simulator_has_degrees_metres_and_signs() -> None:

@@ -487,7 +487,7 @@ class Reassembly:
             raise ValueError("a fragment needs id and data")
         if type(number) is not int or type(total) is not int:
             raise ValueError("a fragment needs the integers num and total")
-        if not (1 <= total <= MAX_FRAGMENTS and 0 <= number < total):
+        if not 0 <= number < total <= MAX_FRAGMENTS:
             raise ValueError(f"fragment {number} of {total} cannot be")
         key = str(identity)[:256]
         self._forget_old(now)

@@ -11,7 +11,6 @@ import asyncio
 import contextlib
 import logging
 import socket
-import ssl
 from collections.abc import AsyncIterator, Callable, Coroutine, Generator, Iterable
 from functools import lru_cache
 from http import HTTPStatus
@@ -370,10 +369,10 @@ class Server(uvicorn.Server):
         )
         try:
             config.load()
-        except (OSError, ssl.SSLError) as error:
+        except OSError as error:  # that of OpenSSL is one
             key = settings.tls_key or "in the same file"
             raise UsageError(
-                f"the TLS files cannot be used: {getattr(error, 'strerror', None) or error}",
+                f"the TLS files cannot be used: {error.strerror or error}",
                 remedy=f"the certificate is {settings.tls_cert}, its key {key}: check both paths, "
                 "their permissions, and that both are PEM",
             ) from error

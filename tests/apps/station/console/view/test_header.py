@@ -125,6 +125,9 @@ async def test_a_plan_of_somebody_without_control_is_refused(newer: Rig) -> None
 
 
 @pytest.mark.parametrize(
+    "plan", [None, WaypointPlan([Waypoint(22.5, 113.9, height=h) for h in (5, 8, 5, 8)])]
+)
+@pytest.mark.parametrize(
     ("mission", "index", "said"),
     [
         ("", -1, "mission unknown"),
@@ -134,8 +137,10 @@ async def test_a_plan_of_somebody_without_control_is_refused(newer: Rig) -> None
         ("waypoint mission", 4, "waypoint mission: to waypoint 5"),
     ],
 )
-def test_how_far_it_is_without_a_plan(mission: str, index: int, said: str) -> None:
-    what, part = progress(None, mission, index)
+def test_how_far_it_is_without_a_plan_of_so_many_waypoints(
+    plan: WaypointPlan | None, mission: str, index: int, said: str
+) -> None:
+    what, part = progress(plan, mission, index)
     assert (SAY(what), part) == (said, 0.0)
 
 
