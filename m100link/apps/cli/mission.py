@@ -152,11 +152,8 @@ class _Show:
         self._reached = -1
         self._has_begun = self._is_finished = False
         self._line = "uploading"
-        self._live = (
-            Live(console=out, refresh_per_second=4, transient=True)
-            if sys.stdout.isatty() and not as_json()
-            else None
-        )
+        shows = sys.stdout.isatty() and not as_json()
+        self._live = Live(console=out, refresh_per_second=4, transient=True) if shows else None
 
     @asynccontextmanager
     async def watching(self) -> AsyncIterator[None]:
