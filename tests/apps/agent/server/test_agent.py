@@ -728,5 +728,6 @@ async def test_what_waited_in_the_line_of_a_suspended_computer_moves_nothing(
             agent.begin(example(kind), rig.token, ignore, agent.now)
     agent.begin(orders.Halt(), rig.token, ignore, agent.now)
     await agent.begin(orders.Release(), rig.token, ignore, agent.now)
+    slept[0] = 7200.0  # again, and the agent notices it within a second without an order
     await asyncio.sleep(2.1)
     await agent.begin(orders.Obtain(), rig.token, ignore, agent.now)

@@ -257,7 +257,11 @@ async def test_one_that_is_not_there_is_named_and_nobody_takes_off(rig: Rig) -> 
 
 @pytest.mark.parametrize(
     ("sign", "said"),
-    [(None, "signed by nobody"), (Signer("bert", b"b" * 32), "bert may not fly")],
+    [
+        (None, "signed by nobody"),
+        (Signer("bert", b"b" * 32), "bert may not fly"),
+        (Signer("bert", b"b" * 32, RIGHTS), "bert may not fly a1; nothing was sent"),
+    ],
 )
 async def test_an_operator_without_the_right_to_fly_conducts_nothing(
     rig: Rig, sign: Any, said: str
@@ -266,6 +270,8 @@ async def test_an_operator_without_the_right_to_fly_conducts_nothing(
         with pytest.raises(NotAllowed, match=said):
             await made.conductor(sign=sign).fly()
         assert made.on_board[0].height == 0
+        # Aircraft that were asked for nothing do not have to leave.
+        assert len(made.told) == ("nothing was sent" not in said)
 
 
 @pytest.mark.parametrize("when", ["on their way", "in the countdown"])
