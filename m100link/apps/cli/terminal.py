@@ -374,14 +374,6 @@ AS_IT_IS = LogOptions()
 """Nothing was asked for."""
 
 
-class _ToStandardError(logging.StreamHandler[TextIO]):
-    """To what standard error is now: a live display takes it over, and writes above itself."""
-
-    def emit(self, record: logging.LogRecord) -> None:
-        self.stream = sys.stderr  # the one before is flushed by each line, and may be closed
-        super().emit(record)
-
-
 def _level() -> str:
     level = os.environ.get("M100LINK_LOG", "WARNING").upper()
     if level not in logging.getLevelNamesMapping():
@@ -391,29 +383,21 @@ def _level() -> str:
     return level
 
 
-def show_warnings() -> None:
-    """Print warnings on standard error. Raises UsageError: M100LINK_LOG is no level."""
-    handler = _ToStandardError()
-    handler.setFormatter(logging.Formatter("%(levelname)s: %(message)s"))
-    logger = logging.getLogger("m100link")
-    logger.addHandler(handler)
-    logger.setLevel(_level())
-
-
 @contextmanager
-def logging_as_asked(arguments: Iterable[Any]) -> Iterator[None]:
+def logging_as_asked(arguments: Iterable[Any] | None = None) -> Iterator[None]:
     """Log as the options of a verb say while the block runs; without them it stays as it is.
 
     The options are one of the verb's arguments, or the attribute ``log`` of one, or of how a
-    station is run.
+    station is run. None: of no verb yet. Raises UsageError: M100LINK_LOG is no level.
     """
-    runs = (getattr(argument, "run", argument) for argument in arguments)
+    runs = (getattr(argument, "run", argument) for argument in arguments or ())
     found = (getattr(run, "log", run) for run in runs)
     asked = next((one for one in found if isinstance(one, LogOptions)), AS_IT_IS)
-    if asked == AS_IT_IS:
+    if asked == AS_IT_IS and arguments is not None:
         yield
         return
     from m100link.apps.station.log_output import LogOutput, writing_log
 
-    with writing_log(LogOutput(asked.log_level or _level().lower(), asked.log_json)):
+    lines = None if arguments is not None else logging.Formatter("%(levelname)s: %(message)s")
+    with writing_log(LogOutput(asked.log_level or _level().lower(), asked.log_json), lines):
         yield

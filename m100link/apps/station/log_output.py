@@ -142,12 +142,12 @@ def _write(line: str) -> None:
 
 
 @contextmanager
-def writing_log(output: LogOutput) -> Iterator[None]:
-    """Write the log of m100link to standard error while the block runs."""
+def writing_log(output: LogOutput, lines: logging.Formatter | None = None) -> Iterator[None]:
+    """Write the log of m100link to standard error while the block runs; by default as asked for."""
     global _in_force
     logger = logging.getLogger("m100link")
-    before, level = list(logger.handlers), logger.level
-    lines = JsonLines() if output.as_json else logging.Formatter(*_TEXT_LINES)
+    before, level, of_before = list(logger.handlers), logger.level, _in_force
+    lines = lines or (JsonLines() if output.as_json else logging.Formatter(*_TEXT_LINES))
     with FlightProgress("log", _MOST_UNREAD) as teller:
         handler = LinesInThread(lines, teller)
         for other in before:
@@ -158,7 +158,7 @@ def writing_log(output: LogOutput) -> Iterator[None]:
         try:
             yield
         finally:
-            _in_force = None
+            _in_force = of_before
             logger.setLevel(level)
             for other in before:
                 logger.addHandler(other)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import ast
 import contextlib
 import errno
-import io
 import logging
 import random
 import re
@@ -16,7 +15,9 @@ import sys
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
+from threading import current_thread, main_thread
 from typing import cast
+from unittest.mock import MagicMock
 
 import pytest
 from cyclopts import App, Group
@@ -25,7 +26,7 @@ import m100link
 from m100link.apps.cli import connection, end_at_once
 from m100link.apps.cli.app import _FORMER, EXAMPLES, VERBS, app, application
 from m100link.apps.cli.manual import _rows
-from m100link.apps.cli.terminal import ExitCode
+from m100link.apps.cli.terminal import ExitCode, logging_as_asked
 from m100link.sim.ports import driver
 from tests.apps.cli.conftest import CommandLine
 from tests.promised import FILE, named, read
@@ -333,13 +334,16 @@ def test_a_log_level_that_does_not_exist(cli: CommandLine, monkeypatch: pytest.M
     assert "DEBUG, INFO, WARNING or ERROR" in outcome.err
 
 
-def test_a_warning_goes_to_what_standard_error_is_then(cli: CommandLine) -> None:
-    """A live display takes it over, and writes above itself."""
-    cli("decode", "aa")
-    # No monkeypatch, which puts back a stream that the capture has closed by then.
-    with contextlib.redirect_stderr(io.StringIO()) as shown:
-        logging.getLogger("m100link.link").warning("noise on the line")
-    assert shown.getvalue() == "WARNING: noise on the line\n"
+def test_a_warning_goes_to_what_standard_error_is_then_and_waits_for_no_reader() -> None:
+    """A live display takes it over, and writes above itself. A full pipe stops a thread alone."""
+    said, stream = list[tuple[str, bool]](), MagicMock()
+    stream.write = lambda text: said.append((text, current_thread() is main_thread()))
+    with contextlib.ExitStack() as log:
+        log.enter_context(logging_as_asked())
+        with contextlib.redirect_stderr(stream):
+            logging.getLogger("m100link.link").warning("noise on the line")
+            log.close()
+    assert said == [("WARNING: noise on the line\n", False)]
 
 
 @pytest.mark.parametrize(
