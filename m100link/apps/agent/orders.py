@@ -69,7 +69,7 @@ class Order:
     #: Whether it moves the aircraft, or lets somebody move it; an end of movement does not.
     moves: ClassVar[bool] = True
     #: Whether the log of orders has to know it before it begins, because twice would be once too
-    #: often. An order that is not kept waits for no disk.
+    #: often. One that is not kept, or that ends a movement, waits for no disk.
     is_kept: ClassVar[bool] = True
     age: ClassVar[Age] = Age.YOUNG
     after_stop: ClassVar[AfterStop] = AfterStop.ANEW  #: DONE where it moves nothing

@@ -376,8 +376,11 @@ class FleetAgent:
     async def _carry_out(self, order: payloads.OrderMessage, asked: orders.Order) -> None:
         try:
             if asked.is_kept:
-                await self._order_log.begin(order.id)
-                self._ages.check(asked.after_stop, order.clock, self.client.now)
+                keeping = self._order_log.begin(order.id)
+                kept = self.client.background.spawn(keeping, "order log")
+                if not asked.ends:  # a flight home waits for no disk, nor is refused for want of it
+                    await kept
+                    self._ages.check(asked.after_stop, order.clock, self.client.now)
             self._end(order, None, **await self._orders.carry_out(order, asked))
         except M100Error as error:
             self._end(order, error)

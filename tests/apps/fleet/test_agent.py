@@ -416,6 +416,9 @@ async def test_what_ends_a_movement_waits_for_no_disk(rig: Rig) -> None:
             reply = await send(rig, order(ending, got.number, got.token))
         assert reply.progress is Progress.DONE, ending
         assert reply.outcome is Outcome.REFUSED, "no mission flies, and it is in the air"
+    reply = await send(rig, order(orders.GoHome(), got.number, got.token))
+    assert reply.outcome is Outcome.OK
+    assert one.height < 0.1
     reply = await send(rig, order(orders.Release(), got.number, got.token))
     assert reply.outcome is Outcome.OK
     assert not one.client.has_authority
