@@ -129,7 +129,7 @@ def test_a_handler_that_raises_costs_its_record_and_that_is_said(
     error: type[BaseException],
     heard: Heard,
     thread: LogThread,
-    capfd: pytest.CaptureFixture[str],
+    capsys: pytest.CaptureFixture[str],  # no file, as in a notebook
 ) -> None:
     def fail() -> None:
         raise error
@@ -142,7 +142,7 @@ def test_a_handler_that_raises_costs_its_record_and_that_is_said(
     thread.release()
     assert [text for text, _ in heard.told] == ["one", "two"], "the thread goes on"
     assert thread.failed == 2
-    assert "5 log records of flights were lost" in capfd.readouterr().err
+    assert "5 log records of flights were lost" in capsys.readouterr().err
     assert error.__name__ in thread._lost or thread._lost == ""
 
 

@@ -126,7 +126,8 @@ async def test_nothing_of_the_original_is_in_the_copy(tmp_path: Path, seed: int)
                     assert not (is_near(one, latitude) and is_near(other, longitude))
             assert not [one for one in true if one in message.data]
         else:
-            found = list(numbers(json.loads(message.data)))
+            found = list(numbers(content := json.loads(message.data)))
+            assert content.get("error", "") == "" or content["event"] == "connection"
             hits = [
                 [one for one in found if is_near(one, place)] for place in (latitude, longitude)
             ]

@@ -291,13 +291,12 @@ class Heartbeat:
 
     def __init__(self, bus: PolledBus) -> None:
         self._bus = bus
-        self._sessions: dict[str, _Session] = {}
-        self._asks_at = 0.0
+        self.follow(())
 
     def follow(self, sessions: Collection[str]) -> None:
         """Ask these from now on, and no others. Ids that are of no session are left out."""
         known = [one for one in sorted(set(sessions)) if _SESSION.fullmatch(one)][:_MOST]
-        self._sessions = {one: _Session() for one in known}
+        self._sessions: dict[str, _Session] = {one: _Session() for one in known}
         self._asks_at = 0.0
 
     def is_missing(self, now: float) -> bool:
