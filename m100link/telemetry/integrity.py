@@ -187,7 +187,6 @@ class _Clock:
 
     def _expect_anew(self) -> None:
         self._floor = math.inf
-        self.delay_s = self.late_for_s = 0.0
         self._late_since = None
 
     def _advance(self, step: float, tick: int, at: float) -> None:

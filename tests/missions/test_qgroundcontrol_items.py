@@ -22,8 +22,8 @@ def refusal(document: dict[str, Any], **options: Any) -> BadPlan:
 
 def test_commands_have_the_names_of_mavlink() -> None:
     common = pytest.importorskip("pymavlink.dialects.v20.common")
-    names = {command.value: f"MAV_CMD_{command.name}" for command in MavCommand}
-    assert names == {number: common.enums["MAV_CMD"][number].name for number in names}
+    for name, command in MavCommand.__members__.items():  # one of a wrong number may be an alias
+        assert command == getattr(common, f"MAV_CMD_{name}")
 
 
 @pytest.mark.parametrize(

@@ -883,8 +883,10 @@ def test_a_press_is_flown_when_telemetry_shows_three_tenths_of_its_speed(
 
 def test_a_flight_that_was_accepted_is_not_flown_before_its_agent_says_so() -> None:
     flight = IssuedOrder(1, 10.0, order=orders.FlyTo(52.0, 4.3, height=5.0))
+    view: Any = SimpleNamespace(is_heard=True, at=10.2, heard_at=10.0, state=State(10.2))
+    flight.look(view, 10.05)
+    assert flight.life is Life.SENT
     flight.hear(News.TAKEN, 10.1)
-    view: Any = SimpleNamespace(is_heard=True, at=10.2, state=State(10.2))
     assert flight._of_flight(view) == (True, False)
 
 
