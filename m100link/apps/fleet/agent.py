@@ -377,9 +377,10 @@ class FleetAgent:
         try:
             if asked.is_kept:
                 keeping = self._order_log.begin(order.id)
-                kept = self.client.background.spawn(keeping, "order log")
-                if not asked.ends:  # a flight home waits for no disk, nor is refused for want of it
-                    await kept
+                if asked.ends:  # a flight home waits for no disk, nor is refused for want of it
+                    self.client.background.spawn(keeping, "order log")
+                else:
+                    await keeping
                     self._ages.check(asked.after_stop, order.clock, self.client.now)
             self._end(order, None, **await self._orders.carry_out(order, asked))
         except M100Error as error:
