@@ -31,6 +31,7 @@ from m100link.apps.cli.terminal import (
     ReaderGone,
     complain,
     logging_as_asked,
+    show_warnings,
     shown_default,
     speak_to_anybody,
 )
@@ -335,19 +336,19 @@ def _renamed(words: list[str]) -> list[str]:
 def _status_of(words: list[str]) -> int:
     asked = app if VERBS.keys() & set(words) else application(overview=True)
     try:
-        with logging_as_asked():
-            for name in VERBS.keys() & set(words[:1]):
-                _ = asked[name]  # loads it
-            words = _renamed(words)
-            verb, bound, _ = asked.parse_args(words, exit_on_error=False, print_error=False)
-            if signal.getsignal(signal.SIGINT) is end_at_once:
-                signal.signal(signal.SIGINT, signal.default_int_handler)
-            with logging_as_asked(bound.arguments.values()):
-                status = verb(*bound.args, **bound.kwargs)
-                if inspect.iscoroutine(status):
-                    from m100link.apps.cli.common import run_async  # decoding a frame needs none
+        show_warnings()
+        for name in VERBS.keys() & set(words[:1]):
+            _ = asked[name]  # loads it
+        verb, bound, _ = asked.parse_args(_renamed(words), exit_on_error=False, print_error=False)
+        bound.apply_defaults()
+        if signal.getsignal(signal.SIGINT) is end_at_once:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+        with logging_as_asked(bound.arguments.values()):
+            status = verb(*bound.args, **bound.kwargs)
+            if inspect.iscoroutine(status):
+                from m100link.apps.cli.common import run_async  # decoding a frame needs none
 
-                    status = run_async(status)
+                status = run_async(status)
     except (UnusedCliTokensError, UnknownCommandError) as error:
         return complain(_useless(error))
     except CycloptsError as error:

@@ -9,7 +9,6 @@ raises nothing: its reader, its disk or its terminal is no reason to end or to r
 from __future__ import annotations
 
 import codecs
-import contextlib
 import functools
 import importlib.util
 import io
@@ -20,7 +19,7 @@ import os
 import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
 from typing import Any, Literal, TextIO, cast
 
@@ -85,7 +84,7 @@ class _Reported:
         with self._watched():
             self._stream.flush()
 
-    @contextlib.contextmanager
+    @contextmanager
     def _watched(self) -> Iterator[None]:
         try:
             yield
@@ -99,7 +98,7 @@ class _Reported:
             raise ReaderGone(*error.args) from None
 
 
-@contextlib.contextmanager
+@contextmanager
 def speak_to_anybody() -> Iterator[None]:
     """While the block runs, output fits its terminal, and a closed pipe has its own error.
 
@@ -175,7 +174,7 @@ def read_keys(data: bytes) -> list[str]:
     return keys
 
 
-@contextlib.contextmanager
+@contextmanager
 def keys_pressed(press: Callable[[str], object]) -> Iterator[bool]:
     """Hand on the keys that are pressed while the block runs, in the event loop.
 
@@ -373,31 +372,45 @@ class LogOptions:
 AS_IT_IS = LogOptions()
 """Nothing was asked for."""
 
+_LINES = logging.Formatter("%(levelname)s: %(message)s")  # unless somebody asks for others
+
+
+class _ToStandardError(logging.StreamHandler[TextIO]):
+    """To what standard error is now: a live display takes it over, and writes above itself."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.stream = sys.stderr  # the one before is flushed by each line, and may be closed
+        super().emit(record)
+
 
 def _level() -> str:
     level = os.environ.get("M100LINK_LOG", "WARNING").upper()
     if level not in logging.getLevelNamesMapping():
-        raise UsageError(
-            f"M100LINK_LOG is {level!r}", remedy="set it to DEBUG, INFO, WARNING or ERROR"
-        )
+        remedy = "set it to DEBUG, INFO, WARNING or ERROR"
+        raise UsageError(f"M100LINK_LOG is {level!r}", remedy=remedy)
     return level
 
 
-@contextmanager
-def logging_as_asked(arguments: Iterable[Any] | None = None) -> Iterator[None]:
-    """Log as the options of a verb say while the block runs; without them it stays as it is.
+def show_warnings() -> None:
+    """Print warnings on standard error. Raises UsageError: M100LINK_LOG is no level."""
+    handler = _ToStandardError()
+    handler.setFormatter(_LINES)
+    logger = logging.getLogger("m100link")
+    logger.addHandler(handler)
+    logger.setLevel(_level())
+
+
+def logging_as_asked(arguments: Iterable[Any]) -> AbstractContextManager[None]:
+    """Logs as the options of a verb say while it is entered; a verb without them logs as before.
 
     The options are one of the verb's arguments, or the attribute ``log`` of one, or of how a
-    station is run. None: of no verb yet. Raises UsageError: M100LINK_LOG is no level.
+    station is run. Such a verb has an aircraft or clients, so a thread writes.
     """
-    runs = (getattr(argument, "run", argument) for argument in arguments or ())
-    found = (getattr(run, "log", run) for run in runs)
-    asked = next((one for one in found if isinstance(one, LogOptions)), AS_IT_IS)
-    if asked == AS_IT_IS and arguments is not None:
-        yield
-        return
+    found = (getattr(run := getattr(one, "run", one), "log", run) for one in arguments)
+    asked = next((one for one in found if isinstance(one, LogOptions)), None)
+    if asked is None:
+        return nullcontext()
     from m100link.apps.station.log_output import LogOutput, writing_log
 
-    lines = None if arguments is not None else logging.Formatter("%(levelname)s: %(message)s")
-    with writing_log(LogOutput(asked.log_level or _level().lower(), asked.log_json), lines):
-        yield
+    output = LogOutput(asked.log_level or _level().lower(), asked.log_json)
+    return writing_log(output, _LINES if asked == AS_IT_IS else None)

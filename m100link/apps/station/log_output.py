@@ -146,7 +146,7 @@ def writing_log(output: LogOutput, lines: logging.Formatter | None = None) -> It
     """Write the log of m100link to standard error while the block runs; by default as asked for."""
     global _in_force
     logger = logging.getLogger("m100link")
-    before, level, of_before = list(logger.handlers), logger.level, _in_force
+    before, level = list(logger.handlers), logger.level
     lines = lines or (JsonLines() if output.as_json else logging.Formatter(*_TEXT_LINES))
     with FlightProgress("log", _MOST_UNREAD) as teller:
         handler = LinesInThread(lines, teller)
@@ -158,7 +158,7 @@ def writing_log(output: LogOutput, lines: logging.Formatter | None = None) -> It
         try:
             yield
         finally:
-            _in_force = of_before
+            _in_force = None
             logger.setLevel(level)
             for other in before:
                 logger.addHandler(other)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import contextlib
 import errno
+import io
 import logging
 import random
 import re
@@ -26,7 +27,8 @@ import m100link
 from m100link.apps.cli import connection, end_at_once
 from m100link.apps.cli.app import _FORMER, EXAMPLES, VERBS, app, application
 from m100link.apps.cli.manual import _rows
-from m100link.apps.cli.terminal import ExitCode, logging_as_asked
+from m100link.apps.cli.terminal import AS_IT_IS, ExitCode, logging_as_asked
+from m100link.apps.station import log_output
 from m100link.sim.ports import driver
 from tests.apps.cli.conftest import CommandLine
 from tests.promised import FILE, named, read
@@ -334,16 +336,32 @@ def test_a_log_level_that_does_not_exist(cli: CommandLine, monkeypatch: pytest.M
     assert "DEBUG, INFO, WARNING or ERROR" in outcome.err
 
 
-def test_a_warning_goes_to_what_standard_error_is_then_and_waits_for_no_reader() -> None:
-    """A live display takes it over, and writes above itself. A full pipe stops a thread alone."""
+def test_a_warning_goes_to_what_standard_error_is_then(cli: CommandLine) -> None:
+    """A live display takes it over, and writes above itself."""
+    cli("decode", "aa")
+    # No monkeypatch, which puts back a stream that the capture has closed by then.
+    with contextlib.redirect_stderr(io.StringIO()) as shown:
+        logging.getLogger("m100link.link").warning("noise on the line")
+    assert shown.getvalue() == "WARNING: noise on the line\n"
+
+
+def test_a_warning_of_a_verb_with_an_aircraft_waits_for_no_reader(
+    cli: CommandLine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A full pipe stops a thread alone, whether or not the log is asked for."""
     said, stream = list[tuple[str, bool]](), MagicMock()
     stream.write = lambda text: said.append((text, current_thread() is main_thread()))
     with contextlib.ExitStack() as log:
-        log.enter_context(logging_as_asked())
+        log.enter_context(logging_as_asked([AS_IT_IS]))
         with contextlib.redirect_stderr(stream):
             logging.getLogger("m100link.link").warning("noise on the line")
             log.close()
     assert said == [("WARNING: noise on the line\n", False)]
+    writing = MagicMock()
+    monkeypatch.setattr(log_output, "writing_log", writing)
+    for words, count in ((("decode", "aa"), 0), (("info", "/dev/none"), 1)):
+        cli(*words)
+        assert writing.call_count == count
 
 
 @pytest.mark.parametrize(
