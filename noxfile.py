@@ -186,7 +186,8 @@ KINDS = {
 # What takes longest begins first; but in a new environment the first tests compile what all others
 # import, and pyright, which imports nothing, is beside them meanwhile.
 DEFAULT = ("types", "quick", "docs", "lint")
-FULL = ("tests", "types", "manual", "lint", "browser", "examples", "interop")
+FULL = ("types", "manual", "lint", "examples")
+COUNTED = ("tests", "browser", "interop")  # under coverage, so that `full` runs them once
 # What flies in real time, and how many at once. Each of the first takes what it can get.
 LANES = ((("smoke tests", "tests (pty)", "browser"), 1), ((*PROGRAMS, "interop"), 2))
 # Flights leave half of the processors idle. These take what is left, and make way at once.
@@ -302,7 +303,7 @@ def coverage(session: nox.Session) -> None:
     for old in Path().glob(".coverage*"):
         old.unlink()
     try:
-        run_kinds(session, "tests", "browser", "interop", under=("coverage", "run", "-m"))
+        run_kinds(session, *COUNTED, under=("coverage", "run", "-m"))
     finally:
         session.run("coverage", "combine", "--quiet")
         for torn in Path().glob(".coverage.*"):  # of a process that was killed as it wrote

@@ -135,13 +135,17 @@ def kinds(program: str) -> set[str]:
 def test_nox_alone_checks_every_kind_and_full_runs_every_test() -> None:
     program = (ROOT / "noxfile.py").read_text(encoding="utf-8")
     assert 'nox.options.sessions = ["check"]' in program
-    default, full = (
+    default, full, counted = (
         set(re.findall(r'"(\w+)"', line))
-        for line in re.findall(r"^(?:DEFAULT|FULL) = .*$", program, re.MULTILINE)
+        for line in re.findall(r"^(?:DEFAULT|FULL|COUNTED) = .*$", program, re.MULTILINE)
     )
     assert default == {"lint", "types", "docs", "quick"}
-    assert full == {"lint", "types", "manual", "tests", "browser", "examples", "interop"}
-    assert kinds(program) == default | full
+    assert full == {"lint", "types", "manual", "examples"}
+    assert counted == {"tests", "browser", "interop"}
+    assert kinds(program) == default | full | counted
+    notified = re.search(r"for name in \((.*)\):\n +session.notify", program)
+    assert notified
+    assert '"coverage"' in notified[1]
 
 
 WHOLE = ["m100link/py.typed", *sorted(release.MANUAL), "m100link-1.dist-info/METADATA"]
