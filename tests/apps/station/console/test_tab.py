@@ -1005,6 +1005,35 @@ async def test_a_flight_to_a_point_is_accepted_flown_and_reached(rig: Rig) -> No
     assert browser.tab.shown_flight() is None, "its end was shown"
 
 
+@pytest.mark.parametrize(("dies", "within"), [("lost", 0.2), ("silent", 3.2)])
+async def test_a_page_that_dies_ends_its_flight_to_a_point(
+    rig: Rig, dies: str, within: float
+) -> None:
+    """A lost connection ends a lease at once, silence after 3 s; then the aircraft brakes and
+    hovers, and authority goes back (explanation/safety.md of the manual)."""
+
+    async def speed() -> float:
+        before = rig.aircraft.position
+        await anyio.sleep(0.1)
+        return math.dist(rig.aircraft.position, before) / 0.1
+
+    browser = await airborne(rig)
+    async with anyio.create_task_group() as group:
+        group.start_soon(browser.tab.attempt, lambda: browser.tab.ask(north_of(rig, 100.0)))
+        await keep_alive(browser, anyio.sleep(3.5))
+        assert await speed() == pytest.approx(5.0, abs=0.3)
+        if dies == "lost":
+            browser.tab.lost()
+        await anyio.sleep(within)
+        before = await speed()
+        await anyio.sleep(0.2)
+        assert await speed() < before - 0.3
+        await anyio.sleep(3.0)
+        assert await speed() < 0.1
+        assert not rig.agent.holding.has_authority
+    assert rig.aircraft.position[0] < 40.0
+
+
 async def test_a_flight_that_is_refused_or_ended_says_by_what(rig: Rig) -> None:
     browser = await airborne(rig)
     assert await lives(browser, north_of(rig, 4000.0)) == [Life.REFUSED]
