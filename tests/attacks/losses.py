@@ -154,7 +154,8 @@ async def health(port: int) -> dict[str, Any]:
             with urllib.request.urlopen(f"http://127.0.0.1:{port}/health", timeout=5) as answer:
                 return bytes(answer.read())
         except urllib.error.HTTPError as error:
-            return bytes(error.read())
+            with error:
+                return bytes(error.read())
 
     found: dict[str, Any] = json.loads(await asyncio.to_thread(get))
     return found
