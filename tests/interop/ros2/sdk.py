@@ -33,7 +33,7 @@ SEEN = {
     "pose": "geometry_msgs/msg/PoseStamped",
     "velocity": "geometry_msgs/msg/TwistStamped",
     "battery": "sensor_msgs/msg/BatteryState",
-    "magnetic_field": "geometry_msgs/msg/Vector3Stamped",
+    "magnetic_field": "sensor_msgs/msg/MagneticField",
     "joy": "sensor_msgs/msg/Joy",
     "gimbal": "geometry_msgs/msg/QuaternionStamped",
     "flight_status": "m100_msgs/msg/FlightStatus",
