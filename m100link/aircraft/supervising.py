@@ -312,7 +312,7 @@ class Supervised:
             raise of_another_loop()
         if self._changed is None:
             self._changed = loop.create_future()
-        await asyncio.shield(self._changed)
+        await asyncio.wait([self._changed])
 
     # -- the machine -----------------------------------------------------------------------------
 

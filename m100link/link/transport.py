@@ -169,11 +169,12 @@ async def _kept_or_closed(opening: asyncio.Future[serial.Serial]) -> serial.Seri
     opens it, this one included. A second cancellation does not wait.
     """
     try:
-        return await asyncio.shield(opening)
+        await asyncio.wait([opening])
     except asyncio.CancelledError:
         opening.add_done_callback(_close_opened)
         await asyncio.wait([opening])
         raise
+    return opening.result()
 
 
 def _close_opened(opening: asyncio.Future[serial.Serial]) -> None:

@@ -97,7 +97,8 @@ class Flights:
                     f"{self.folder}: the disk does not answer within {DISK_S:g} s",
                     remedy="name a folder of another disk",
                 )
-            return await asyncio.shield(making)
+            await asyncio.wait([making])
+            return making.result()
         except (asyncio.CancelledError, M100Error, OSError, RuntimeError, MemoryError) as error:
             making.add_done_callback(self._abandon)
             if isinstance(error, asyncio.CancelledError):

@@ -315,7 +315,8 @@ class ControlSession:
         asking = self._agent.background.spawn(grant(asked_at), "lease")
         # Shielded: a lease that is granted behind a cancellation would be held by nobody for 3 s.
         try:
-            lease: Lease = await asyncio.shield(asking)
+            await asyncio.wait([asking])
+            lease: Lease = asking.result()
         except BaseException as error:
             if isinstance(error, asyncio.CancelledError):
                 asking.add_done_callback(self._unwanted)  # it gives a late lease back
@@ -531,8 +532,9 @@ class ControlSession:
             is_down = isinstance(order, orders.Land | orders.GoHome)
             if is_down and self._agent.state.task not in _WAYS_DOWN:
                 work = self._brought_down(order, asked_at, accepted)
-                self._way_down = self._agent.background.spawn(work, order.label)
-                outcome = await asyncio.shield(self._way_down)
+                way_down = self._way_down = self._agent.background.spawn(work, order.label)
+                await asyncio.wait([way_down])
+                outcome: OrderOutcome = way_down.result()
             else:
                 outcome = await self._agent.ask(order, lease, accepted, asked_at)
         except errors.GuardRefused as error:

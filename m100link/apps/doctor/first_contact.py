@@ -73,7 +73,6 @@ class Topic(Enum):
 
     @property
     def question(self) -> str:
-        """For people."""
         return self.value[0]
 
     @property
@@ -92,7 +91,6 @@ class Observation:
 
     @property
     def is_seen(self) -> bool:
-        """Whether the aircraft showed it."""
         return bool(self.found)
 
     @property
@@ -101,7 +99,6 @@ class Observation:
         return self.is_seen and self.found != self.topic.assumed
 
     def to_json(self) -> dict[str, Any]:
-        """As JSON has it."""
         return {
             "topic": self.topic.name.lower(),
             "asked": self.topic.question,
@@ -150,7 +147,6 @@ class Contact:
             self.ended_by = f"the line went away ({type(error).__name__})"
 
     def to_json(self) -> dict[str, Any]:
-        """As JSON has it."""
         return {
             "firmware": self.firmware,
             "ended_by": self.ended_by or None,

@@ -137,7 +137,6 @@ class Machine:
     # -- the adapter -----------------------------------------------------------------------------
 
     def adapter(self, path: str) -> Adapter:
-        """The adapter that the port hangs on."""
         port = self._root / "sys/class/tty" / self.device(path).name / "device"
         try:
             place = port.resolve(strict=True)

@@ -48,11 +48,9 @@ class Stage(Enum):
         return self.value
 
     def good(self, seen: str, details: Details | None = None) -> Finding:
-        """It is as it has to be."""
         return Finding(self, Verdict.GOOD, seen, details=details or {})
 
     def skipped(self, why: str, details: Details | None = None) -> Finding:
-        """It was not looked at."""
         return Finding(self, Verdict.SKIPPED, why, details=details or {})
 
     def doubtful(
@@ -63,7 +61,6 @@ class Stage(Enum):
         details: Details | None = None,
         error: M100Error | None = None,
     ) -> Finding:
-        """It works, and may be the cause of something else."""
         return Finding(self, Verdict.DOUBTFUL, seen, causes, commands, details or {}, error)
 
     def failed(
@@ -74,7 +71,6 @@ class Stage(Enum):
         details: Details | None = None,
         error: M100Error | None = None,
     ) -> Finding:
-        """Nothing behind it can work."""
         return Finding(self, Verdict.FAILED, seen, causes, commands, details or {}, error)
 
 
@@ -104,7 +100,6 @@ class Finding:
     error: M100Error | None = None  #: the typed error that a program would get, if one was raised
 
     def to_json(self) -> dict[str, Any]:
-        """As JSON has it."""
         found: dict[str, Any] = {
             "stage": self.stage.name.lower(),
             "asked": self.stage.title,
@@ -139,7 +134,6 @@ class Report:
         return tuple(one for one in self.findings if one.verdict is Verdict.DOUBTFUL)
 
     def to_json(self) -> dict[str, Any]:
-        """As JSON has it."""
         failure = self.failure
         return {
             "url": self.place,

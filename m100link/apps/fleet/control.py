@@ -215,7 +215,6 @@ class FleetControl:
 
     @property
     def missions(self) -> MissionOrders:
-        """Orders about missions, one by one."""
         return MissionOrders(self.ask)
 
     def waypoint_mission(self, plan: WaypointPlan, *, take_off: bool = False) -> FleetMission:

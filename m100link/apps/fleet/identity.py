@@ -116,7 +116,6 @@ class Router:
     port: int = 7447
 
     def at(self, host: str) -> str:
-        """An endpoint of zenoh."""
         return f"tls/{f'[{host}]' if ':' in host else host}:{self.port}"
 
     @property

@@ -196,7 +196,9 @@ class OrderService:
                 self._descended(task, who, take_over=take_over), who
             )
         self._descent_signers.add(signer)
-        await asyncio.shield(self._descent)
+        descent = self._descent
+        await asyncio.wait([descent])
+        descent.result()
 
     async def _descended(self, task: orders.Order, who: str, *, take_over: bool) -> None:
         control = ControlSession(self._client, who)

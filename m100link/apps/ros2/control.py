@@ -255,7 +255,8 @@ class RosControl:
                 agent.background.begin(partial(self._flown, at, task), task.label), task.label
             )
             self._tasks[task] = before, at
-        await asyncio.shield(before)
+        await asyncio.wait([before])
+        before.result()
 
     async def _flown(self, asked_at: float, task: orders.Order, begun: asyncio.Event) -> None:
         try:

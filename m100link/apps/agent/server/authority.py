@@ -198,8 +198,9 @@ class AuthorityManager:
         if self._block is None:
             self._begin(aircraft)
         # Shielded: others may wait for the same request, and cancelling one must not end theirs.
-        if self._granted is not None:
-            await asyncio.shield(self._granted)
+        if (granted := self._granted) is not None:
+            await asyncio.wait([granted])
+            granted.result()
 
     def let_go(self) -> None:
         """Give authority back; :meth:`settle` waits until that is done."""

@@ -165,7 +165,8 @@ class ActiveFlight:
         self.task = name
         work = self._running_task = self._background.spawn(self._fly(task, name, accepted), name)
         try:
-            await asyncio.shield(work)  # the autopilot flies on when the asking front has gone
+            await asyncio.wait([work])  # the autopilot flies on when the asking front has gone
+            work.result()
         except asyncio.CancelledError:
             if work.cancelled():
                 # Not NoAuthority, which says that nothing was sent.
@@ -288,7 +289,8 @@ class ActiveFlight:
         over = await self.mission.start(plan, take_off=take_off)
         if begun is not None:
             begun()
-            await asyncio.shield(over)
+            await asyncio.wait([over])
+            over.result()
 
     async def start_hotpoint(self, request: HotpointStart) -> None:
         """Let the aircraft fly around a place; done when it has begun. Ends a program."""
@@ -383,7 +385,8 @@ class GuidedFlightManager:
         self._works.add(work)
         work.add_done_callback(self._works.discard)
         try:
-            await asyncio.shield(work)
+            await asyncio.wait([work])
+            work.result()
         except asyncio.CancelledError:
             if work.cancelled():
                 state = ", and the aircraft hovers" if flight.hovers else ""

@@ -120,13 +120,15 @@ class ActiveMission:
         loop = asyncio.get_running_loop()
         begun: asyncio.Future[None] = loop.create_future()
         over: asyncio.Future[None] = loop.create_future()
-        over.add_done_callback(look_at)
+        for outcome in (begun, over):  # nobody may be there to hear it
+            outcome.add_done_callback(look_at)
         self._what, self._is_cut_off = what, False
         self._ended_because, self._is_landing = "", False
         self.watch = self._background.spawn(self._fly(flight, what, begun, over), "mission")
         self.watch.add_done_callback(partial(self._ended_unbegun, begun))
         try:
-            await asyncio.shield(begun)
+            await asyncio.wait([begun])
+            begun.result()
         except asyncio.CancelledError:
             self.end("nobody waits for it")
             raise
@@ -171,7 +173,6 @@ class ActiveMission:
         finally:
             if not begun.done():
                 begun.set_exception(UsageError("control ended before the mission began"))
-                begun.exception()  # nobody may be there to hear it
             self.watch = None
             why = self._ended_because or "control ended"
             stopped = f"the {what} was stopped: {why}"

@@ -92,7 +92,6 @@ class MissionOrders:
         await self._ask(orders.PauseMission())
 
     async def resume(self) -> None:
-        """Resume it."""
         await self._ask(orders.ResumeMission())
 
     async def stop(self, why: str = "") -> None:

@@ -95,7 +95,8 @@ class MissionManager:
             work = partial(self._fly, lease, whole, asked_at)
             flying = await self._client.background.begin(work, "mission of a fleet")
         if order.until_over:
-            await asyncio.shield(flying)
+            await asyncio.wait([flying])
+            flying.result()
 
     async def _fly(
         self, lease: Lease, order: StartMission, asked_at: float | None, begun: asyncio.Event

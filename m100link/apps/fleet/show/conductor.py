@@ -116,7 +116,7 @@ class Conductor:
             self._tell(f"the show begins in {start_at - self._clock():.1f} s")
             await asyncio.sleep(start_at - self._clock())  # until then all may leave again
         except BaseException:
-            await asyncio.shield(self.leave())
+            await asyncio.wait([asyncio.ensure_future(self.leave())])
             raise
         finally:
             attending.cancel()

@@ -177,7 +177,6 @@ class TimedTrack:
 
     @cached_property
     def legs(self) -> tuple[TrackSegment, ...]:
-        """Its pieces, in their order."""
         slopes = list(zip(*(self._slopes(axis) for axis in range(3)), strict=True))
         return tuple(
             _leg(before, after, leaving, arriving)
