@@ -266,9 +266,10 @@ def test_the_next_program_hears_who_has_the_port_and_to_leave_it_alone() -> None
 
 @pytest.mark.pty
 def test_the_pilot_who_took_the_aircraft_keeps_it() -> None:
-    with foreign_aircraft("3.1") as there, flown(there, "land", "stopped"):
+    with foreign_aircraft("3.1") as there, flown(there, "land", "never") as process:
         there.leave_f()
-        time.sleep(3.5)
+        assert process.wait(timeout=PATIENCE) == 1
+        assert there.releases >= 1, "its last word was read"
         assert there.tasks == [], "nothing lands what the pilot flies"
 
 
