@@ -551,7 +551,8 @@ def test_junk_in_the_page_changes_nothing_that_is_sent() -> None:
         with program() as there:
             there.publish(patience_ms=20_000)
             blocking_until(there.is_read)
-            time.sleep(0.1)  # and looked at the page
+            there.socket.send(page.WAKE)
+            blocking_until(there.is_read)  # between two words it has looked at the page
             for _ in range(20):
                 at = chance.choice([4 * page.TOKEN, 4 * page.UNSENT, page.HALVES_AT])
                 junk = chance.randbytes(4 if at < page.HALVES_AT else 2 * page.HALF_SIZE)
