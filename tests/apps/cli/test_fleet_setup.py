@@ -219,6 +219,10 @@ class Secured(Site):
         assert json.loads(begun.stdout.readline())["up"] == list(names)
         return begun
 
+    def is_connected(self) -> bool:
+        _, cards = self.ask("list", "--identity", "anna")
+        return [card.get("connection") for card in cards] == ["connected"]
+
 
 @pytest.fixture
 def secured_site(tmp_path: Path, cli: CommandLine) -> Iterator[Secured]:
@@ -228,6 +232,7 @@ def secured_site(tmp_path: Path, cli: CommandLine) -> Iterator[Secured]:
         made = Secured(stack, str(file), tmp_path)
         made.router = made.begin(file, "base")
         made.begin(tmp_path / "boards/a1/fleet.toml", "a1")
+        until(made.is_connected)  # which "up" does not say
         yield made
 
 
