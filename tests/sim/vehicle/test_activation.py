@@ -78,6 +78,16 @@ def test_code_3_as_long_as_the_server_takes() -> None:
     assert codes == [3, 3, 3, 3, 0]
 
 
+def test_what_the_server_was_asked_before_a_restart_is_asked_anew() -> None:
+    host = Host(aircraft(settings={"server_delay": 2.0}))
+    assert host.ask(host.activation()) == ActivationCode.NEW_DEVICE
+    host.aircraft.reboot()
+    host.wait(4.0)  # it is silent for two seconds
+    assert host.ask(host.activation()) == ActivationCode.NEW_DEVICE
+    host.wait(2.5)
+    assert host.ask(host.activation()) == ActivationCode.SUCCESS
+
+
 def test_code_4_app_not_connected() -> None:
     host = Host()
     host.aircraft.disconnect_app()

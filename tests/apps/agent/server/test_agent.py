@@ -516,11 +516,15 @@ async def test_an_activation_that_fails_is_noted(rig: Rig, monkeypatch: pytest.M
     async def refuse(*_: object, **__: object) -> None:
         raise UsageError("the app has no internet")
 
-    monkeypatch.setattr(Aircraft, "activate", refuse)
-    with pytest.raises(M100Error) as caught:
-        await rig.agent.ask(orders.Activate(), rig.token)
+    with monkeypatch.context() as patched:
+        patched.setattr(Aircraft, "activate", refuse)
+        with pytest.raises(M100Error) as caught:
+            await rig.agent.ask(orders.Activate(), rig.token)
     last = list(rig.agent.journal.events)[-1]
     assert (last.text, last.level) == (f"activation failed: {caught.value.seen}", "error")
+    assert rig.agent.activation.error is caught.value
+    await rig.agent.ask(orders.Activate(), rig.token)
+    assert rig.agent.activation.error is None
 
 
 _ROOMS = re.compile(r"m100link/(apps/agent|flight)/")
