@@ -88,10 +88,15 @@ def test_everything_that_is_wrong_is_reported_at_once(cli: CommandLine, file: st
     ]
     [told] = cli("plan", "check", file).objects
     assert told["ok"] is False
-    assert [(one["point"], one["field"], one["value"]) for one in told["problems"]] == [
-        (None, "speed", 99),
-        (1, "height", 900),
-    ]
+    assert told["problems"][0] == {
+        "point": None,
+        "field": "speed",
+        "value": 99,
+        "seen": "speed 99 is above 10 m/s",
+        "remedy": "-10 to 10 m/s, which is max_speed; that may be up to 15 m/s",
+    }
+    one = told["problems"][1]
+    assert (one["point"], one["field"], one["value"]) == (1, "height", 900)
 
 
 @pytest.mark.parametrize("verb", ["check", "show", "convert"])
