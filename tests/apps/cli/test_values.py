@@ -816,8 +816,9 @@ def test_an_order_to_a_simulator_that_is_refused_is_an_error(
 
 def test_a_key_of_a_simulator_is_in_one_place() -> None:
     both = sim.RegisteredAppOptions(key="0f" * 32, key_file=Path("/none"))
-    with pytest.raises(UsageError, match="exclude each other"):
+    with pytest.raises(UsageError, match="exclude each other") as caught:
         both.secret()
+    assert caught.value.remedy == "give one of them"
 
 
 # -- what a terminal shows, and what is refused in words ------------------------------------------

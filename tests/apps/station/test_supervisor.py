@@ -8,7 +8,8 @@ import json
 import logging
 import subprocess
 import sys
-from typing import Any
+from asyncio.subprocess import Process
+from typing import Any, cast
 
 import pytest
 
@@ -59,6 +60,13 @@ def test_a_child_shows_its_warnings_where_nobody_chose_a_log(
     ]
 
 
+class Killed:
+    """A process that the system ended."""
+
+    async def wait(self) -> int:
+        return -9
+
+
 @pytest.mark.parametrize(
     "met", [MemoryError(), RuntimeError("can't start new thread"), OSError(24)]
 )
@@ -68,6 +76,7 @@ def test_a_child_that_could_not_be_started_is_tried_again_whatever_was_lacking(
     """Or the station would have no front any more, and nobody would hear of it."""
     notes: list[str] = []
     child = ChildProcess("fronts", "fronts", {}, lambda text, level: notes.append(text))
+    child._process = cast(Process, Killed())
     starts: list[Exception | None] = [met, None]
     running = asyncio.Event()
     child.on_restart.append(running.set)
@@ -86,4 +95,7 @@ def test_a_child_that_could_not_be_started_is_tried_again_whatever_was_lacking(
 
     with asyncio.Runner(loop_factory=virtual_clock_loop) as runner:
         runner.run(keep())
-    assert [note.split(":")[1].strip() for note in notes[:1]] == ["not started"]
+    ended, failed, served = notes
+    assert ended.endswith("ended (SIGKILL), to be started again")
+    assert failed.split(":")[1].strip() == "not started"
+    assert served.endswith("serving again")
