@@ -386,6 +386,8 @@ def test_of_another_authority_or_changed_it_is_refused(
         with pytest.raises(BadRevoked):
             changed_signature = data[: line_end + 1] + base64.b64encode(wrong)
             Revoked.verified(changed_signature, authority.certificate)
+    with pytest.raises(BadRevoked):  # with a letter more that base64 does not have
+        Revoked.verified(data.rstrip() + b"!\n", authority.certificate)
 
 
 def test_a_list_has_32_kilobytes_at_most(authority: Authority) -> None:
