@@ -269,7 +269,7 @@ def test_the_pilot_who_took_the_aircraft_keeps_it() -> None:
     with foreign_aircraft("3.1") as there, flown(there, "land", "never") as process:
         there.leave_f()
         assert process.wait(timeout=PATIENCE) == 1
-        assert there.releases >= 1, "its last word was read"
+        blocking_until(lambda: there.releases >= 1)  # its last word was read
         assert there.tasks == [], "nothing lands what the pilot flies"
 
 

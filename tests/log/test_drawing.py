@@ -11,7 +11,14 @@ from m100link.log.story import FlightSummary
 
 @pytest.mark.parametrize(
     ("seconds", "text"),
-    [(0, "0.0 s"), (38.81, "38.8 s"), (59.96, "1:00"), (125, "2:05"), (3725.2, "1:02:05")],
+    [
+        (0, "0.0 s"),
+        (38.81, "38.8 s"),
+        (59.6, "59.6 s"),
+        (59.96, "1:00"),
+        (125, "2:05"),
+        (3725.2, "1:02:05"),
+    ],
 )
 def test_a_time_is_as_people_say_it(seconds: float, text: str) -> None:
     assert clock(seconds) == text

@@ -199,6 +199,23 @@ def test_an_ack_of_ours_is_no_answer_of_the_aircraft() -> None:
     assert asked.after_s == pytest.approx(0.2)
 
 
+@pytest.mark.parametrize("name", ["move", "virtual_rc_data", "follow_target"])
+def test_frames_that_are_sent_many_times_a_second_are_spans_and_no_commands(name: str) -> None:
+    """A gap of more than half a second parts two."""
+    story = FlightSummary("a log")
+    reader = _CommandReader(story, 0.0, 0.1, None, None)
+    head = {"session": 0, "command": name, "is_ack": False, "direction": "tx"}
+    for number, at in enumerate((1.0, 1.5, 2.1)):
+        content = head | {"sequence": number}
+        reader.hear(cast(Any, SimpleNamespace(at=at, topic=COMMAND, content=content.copy)))
+    reader.end()
+    assert story.commands == []
+    assert [(one.name, one.begin_s, one.end_s) for one in story.streams] == [
+        (name, 1.0, 1.5),
+        (name, 2.1, 2.1),
+    ]
+
+
 @pytest.mark.parametrize("is_off_ground", [True, False])
 def test_where_it_is_counts_as_home_on_the_ground_alone(*, is_off_ground: bool) -> None:
     """A recording that begins in flight does not know where the take-off was."""

@@ -398,7 +398,9 @@ def _bad(url: str, why: str) -> BadURL:
 
 
 def _options(url: str) -> dict[str, Any]:
-    _, _, query = url.partition("?")
+    before, _, query = url.partition("?")
+    if name := before.strip().removeprefix("sim://"):
+        raise _bad(url, f"nothing stands between sim:// and its options, and here is {name!r}")
     found: dict[str, Any] = {}
     kinds = _kinds()
     for given, text in parse_qsl(query, keep_blank_values=True):

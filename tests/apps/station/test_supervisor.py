@@ -14,7 +14,8 @@ from typing import Any, cast
 import pytest
 
 from m100link.apps.agent.background import Ended
-from m100link.apps.station.supervisor import ChildProcess, run_child
+from m100link.apps.station.supervisor import ChildProcess, run_child, supervised
+from m100link.errors import M100Error
 from m100link.sim.clock import virtual_clock_loop
 
 FIRST = asyncio.FIRST_COMPLETED
@@ -99,3 +100,34 @@ def test_a_child_that_could_not_be_started_is_tried_again_whatever_was_lacking(
     assert ended.endswith("ended (SIGKILL), to be started again")
     assert failed.split(":")[1].strip() == "not started"
     assert served.endswith("serving again")
+
+
+def test_where_one_cannot_start_the_others_are_ended_once_they_have(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A process that begins after its end was asked for would have no end."""
+    notes: list[str] = []
+    bad, slow = (ChildProcess("fronts", one, {}, lambda text, level: None) for one in ("a1", "a2"))
+
+    async def refuse() -> None:
+        raise M100Error("a1: no port")
+
+    async def start() -> None:
+        await asyncio.sleep(1.0)
+        notes.append("started")
+
+    async def end(timeout: float | None) -> None:
+        notes.append("ended")
+
+    monkeypatch.setattr(bad, "start", refuse)
+    monkeypatch.setattr(slow, "start", start)
+    monkeypatch.setattr(slow, "end", end)
+
+    async def serve() -> None:
+        with pytest.raises(M100Error, match="a1: no port"):
+            async with supervised(bad, slow):
+                pytest.fail("it serves with one of two")
+
+    with asyncio.Runner(loop_factory=virtual_clock_loop) as runner:
+        runner.run(serve())
+    assert notes == ["started", "ended"]

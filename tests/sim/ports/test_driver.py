@@ -473,6 +473,14 @@ def test_what_cannot_be_is_refused_with_an_example(query: str, words: str) -> No
     assert caught.value.remedy
 
 
+@pytest.mark.parametrize("url", ["sim://m100", "sim:///dev/ttyUSB0", "sim://firmware=3.1"])
+def test_no_name_stands_between_the_scheme_and_the_options(url: str) -> None:
+    """It would be passed over, and another firmware would fly than the one that was meant."""
+    with pytest.raises(BadURL, match="nothing stands between sim:// and its options") as caught:
+        aircraft_of(url)
+    assert "sim://?firmware=3.1" in (caught.value.remedy or "")
+
+
 @pytest.mark.parametrize("speed", ["0", "-1", "fast", "nan"])
 def test_a_speed_is_a_number_above_zero_or_max(speed: str) -> None:
     with pytest.raises(BadURL, match="speed is a number above 0, or max"):

@@ -85,6 +85,15 @@ def test_start_code_1_landing_on_the_ground() -> None:
     assert Host().ready().ask(StartTask(1, LAND)) == TaskStartCode.REJECTED
 
 
+def test_a_landing_by_itself_on_the_ground_changes_nothing() -> None:
+    """One that a lost remote control or a lost program begins, and no task."""
+    host = Host().ready()
+    host.aircraft.vehicle.flight.land()
+    assert host.phase() is FlightPhase.STANDBY
+    host.wait(1.0)
+    assert host.phase() is FlightPhase.STANDBY
+
+
 def test_start_code_1_going_home_without_home_point_or_gps() -> None:
     host = Host().ready()
     assert host.ask(StartTask(1, GO_HOME)) == TaskStartCode.REJECTED

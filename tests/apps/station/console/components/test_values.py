@@ -58,9 +58,9 @@ from m100link.errors import GuardRefused, UsageError
 from m100link.geodesy import distance_m
 from m100link.missions.plan import WaypointPlan
 from m100link.protocol.commands.gimbal import GimbalAngle, GimbalAngleMode, GimbalSpeed
-from m100link.protocol.records import Position
+from m100link.protocol.records import Attitude, Position
 from m100link.sim.clock import virtual_clock_loop
-from tests.known import LATITUDE, LONGITUDE, position
+from tests.known import LATITUDE, LONGITUDE, position, quaternion
 from tests.known import seen as known_view
 
 pytestmark = pytest.mark.anyio
@@ -399,6 +399,30 @@ async def test_the_slider_pitches_the_gimbal_and_nothing_else(here: Here) -> Non
     part.update(SimpleNamespace(instruments=SimpleNamespace(readings=readings), actions=()))
     asked = here.wording(tr("camera.photo.asked", seconds=3))
     assert part._state.text == f"{here.wording(Text('camera.none'))} · {asked}"
+
+
+@pytest.mark.parametrize(
+    ("attitude", "angle"),
+    [
+        (
+            Attitude(*quaternion(5.0, -3.0, 117.0)),
+            GimbalAngle(117.0, 0, 0, GimbalAngleMode.ABSOLUTE, 0.5),
+        ),
+        (None, GimbalAngle(0, 0, 0, GimbalAngleMode.ABSOLUTE | GimbalAngleMode.KEEP_YAW, 0.5)),
+    ],
+)
+async def test_centred_the_gimbal_looks_where_the_nose_does_as_far_as_that_is_known(
+    here: Here, attitude: Attitude | None, angle: GimbalAngle
+) -> None:
+    """Its heading is absolute: 0 would be north."""
+    here.make(fly.HudPart)
+    here.agent.view = SimpleNamespace(get=lambda kind: attitude if kind is Attitude else None)
+    await here.press(here.find(data_act="gimbal_centre"), press=3)
+    [given] = [note[1].angles for note in here.notes if note[0] == "ask"]
+    assert (given.yaw_deg, given.roll_deg, given.pitch_deg) == pytest.approx(
+        (angle.yaw_deg, 0, 0), abs=1e-6
+    )
+    assert (given.mode, given.duration_s) == (angle.mode, 0.5)
 
 
 async def test_stop_is_given_by_its_own_event_and_hears_of_its_press(here: Here) -> None:
