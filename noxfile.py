@@ -192,6 +192,8 @@ COUNTED = ("tests", "browser", "interop")  # under coverage, so that `full` runs
 LANES = ((("smoke tests", "tests (pty)", "browser"), 1), ((*PROGRAMS, "interop"), 2))
 # Flights leave half of the processors idle. These take what is left, and make way at once.
 BESIDE = ("mypy", "docs")
+# These take two processes each where other programs compete for the processors.
+SPLIT = ("tests", "tests of fronts", "tests of agents")
 
 
 @nox.session
@@ -405,13 +407,19 @@ def run_all(session: nox.Session, commands: Commands) -> None:
     What computes comes first and is over before anything flies in real time, or has the priority of
     an idle machine: beside a type checker that had more, a flight came to stand for half a second,
     which its guards end. On a busy machine that priority is none: what has not ended beside the
-    flights begins again after them.
+    flights begins again after them. On one that is busy from the beginning, all that computes runs
+    at once, and so has more shares of the processors.
     """
+    processors = os.cpu_count() or 1
+    is_busy = hasattr(os, "getloadavg") and os.getloadavg()[0] > processors
+    if is_busy:
+        shared = {t: [(*line, *workers(2)) for line in commands[t]] for t in SPLIT if t in commands}
+        commands = commands | shared
     lanes = [({t: commands[t] for t in ts if t in commands}, width) for ts, width in LANES]
-    beside = {t: commands[t] for t in BESIDE if t in commands}
+    beside = {t: commands[t] for t in BESIDE if t in commands and not is_busy}
     apart = {title for lane, _ in lanes for title in lane} | beside.keys()
     computing = {t: commands[t] for t in commands if t not in apart}
-    ended = side_by_side(session, (computing, 1 + (os.cpu_count() or 1)))
+    ended = side_by_side(session, (computing, len(commands) if is_busy else 1 + processors))
     if any(lane for lane, _ in lanes):
         ended |= side_by_side(session, *lanes, beside=beside)
     rest = {t: beside[t] for t in beside if t not in ended}

@@ -44,7 +44,6 @@ class Stage(Enum):
 
     @property
     def title(self) -> str:
-        """The condition, for people."""
         return self.value
 
     def good(self, seen: str, details: Details | None = None) -> Finding:

@@ -477,8 +477,7 @@ def check_clock(url: str, loop: asyncio.AbstractEventLoop) -> None:
     if "speed" not in _options(url):
         return
     wanted = speed_of(url)
-    there = float("inf") if isinstance(loop, VirtualClockEventLoop) else 1.0
-    there = getattr(loop, "speed", there)
+    there = getattr(loop, "speed", float("inf") if isinstance(loop, VirtualClockEventLoop) else 1.0)
     if wanted != there:
         raise UsageError(
             f"{url} asks for a speed of {wanted:g}, and the time of this event loop passes at "
