@@ -129,8 +129,10 @@ async def until_connected(lines: asyncio.StreamReader, clients: int) -> None:
     """Wait for the clients."""
     try:
         async with asyncio.timeout(PATIENCE_S):
-            while (await lines.readline()).split()[1:] != [str(clients).encode()]:
-                pass
+            async for line in lines:
+                if line.split()[1:] == [str(clients).encode()]:
+                    return
+        raise NotMeasured("the clients ended before they were connected")
     except TimeoutError:
         raise NotMeasured(f"the clients were not connected after {PATIENCE_S:g} s") from None
 

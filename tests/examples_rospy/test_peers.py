@@ -202,8 +202,9 @@ async def test_two_programs_talk_to_each_other(tmp_path: Path) -> None:
         one = await here.begin(OFFERS)
         assert one.stdout is not None
         async with asyncio.timeout(PATIENCE):
-            while await one.stdout.readline() != b"offers\n":
-                pass
+            async for line in one.stdout:
+                if line == b"offers\n":
+                    break
         said = await here.run(USES)
         async with asyncio.timeout(PATIENCE):
             assert await one.wait() == 0

@@ -217,8 +217,9 @@ async def test_the_end_without_an_aircraft_says_nothing_of_one(more: tuple[str, 
     assert process.stderr is not None
     async with asyncio.timeout(PATIENCE):
         for _ in ("/dev/no-port", *more):
-            while b"not connected: there is no device" not in await process.stderr.readline():
-                pass
+            async for line in process.stderr:
+                if b"not connected: there is no device" in line:
+                    break
         process.send_signal(signal.SIGINT)
         _, talk = await process.communicate()
     assert process.returncode == 0
