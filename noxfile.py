@@ -115,7 +115,17 @@ def elsewhere(*folders: str) -> list[str]:
 MAVLINK, ROS2 = "tests/interop/mavlink", "tests/interop/ros2"
 VIRTUAL = elsewhere("tests/interop", "tests/browser")
 QUICK = (*ALONE, "-m", "not slow and not smoke")
-AIRBORNE = tuple(f"tests/apps/{room}" for room in ("agent", "fleet", "mavlink", "ros2"))
+# Tests that are not slow, for processes that take about as long as each other, longest first.
+SHARES = {
+    "tests of agents": ("tests/apps/agent", "tests/apps/fleet"),
+    "tests of flights": ("tests/flight",),
+    "tests of bridges": ("tests/apps/mavlink", "tests/apps/ros2"),
+    "tests of the console": ("tests/apps/station",),
+    "tests of each front": ("tests/apps/test_every_front.py",),
+    "tests of the simulator": ("tests/sim", "tests/log", "tests/missions"),
+    "tests of the command line": ("tests/apps/cli", "tests/apps/doctor"),
+}
+SHARED = [folder for folders in SHARES.values() for folder in folders]
 CHECKED = ("m100link", "tests", "examples", "benchmarks", "noxfile.py", "docs/_ext")
 # The longest flight begins first.
 PROGRAMS = sorted(
@@ -148,12 +158,11 @@ KINDS = {
     ),
     "quick": Kind(
         "Tests that are not slow, and some in real time: a flight for each front among them.",
-        # Three processes that know nothing of each other: workers that report 20,000 tests to one
-        # take a tenth more, and each of them has to read all files.
+        # Processes that know nothing of each other: workers that report 20,000 tests to one take a
+        # tenth more, and each of them has to read all files.
         {
-            "tests": [pytest(*QUICK, *VIRTUAL, *elsewhere("tests/apps"))],
-            "tests of fronts": [pytest(*QUICK, "tests/apps", *elsewhere(*AIRBORNE))],
-            "tests of agents": [pytest(*QUICK, *AIRBORNE)],
+            **{title: [pytest(*QUICK, *folders)] for title, folders in SHARES.items()},
+            "other tests": [pytest(*QUICK, *VIRTUAL, *elsewhere(*SHARED))],
             # They wait for terminals, processes and a browser more than they compute.
             "smoke tests": [pytest(*workers(4), "-m", "smoke", *marked("smoke"))],
         },
@@ -192,8 +201,6 @@ COUNTED = ("tests", "browser", "interop")  # under coverage, so that `full` runs
 LANES = ((("smoke tests", "tests (pty)", "browser"), 1), ((*PROGRAMS, "interop"), 2))
 # Flights leave half of the processors idle. These take what is left, and make way at once.
 BESIDE = ("mypy", "docs")
-# These take two processes each where other programs compete for the processors.
-SPLIT = ("tests", "tests of fronts", "tests of agents")
 
 
 @nox.session
@@ -412,9 +419,6 @@ def run_all(session: nox.Session, commands: Commands) -> None:
     """
     processors = os.cpu_count() or 1
     is_busy = hasattr(os, "getloadavg") and os.getloadavg()[0] > processors
-    if is_busy:
-        shared = {t: [(*line, *workers(2)) for line in commands[t]] for t in SPLIT if t in commands}
-        commands = commands | shared
     lanes = [({t: commands[t] for t in ts if t in commands}, width) for ts, width in LANES]
     beside = {t: commands[t] for t in BESIDE if t in commands and not is_busy}
     apart = {title for lane, _ in lanes for title in lane} | beside.keys()
