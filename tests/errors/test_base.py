@@ -27,6 +27,18 @@ def test_a_value_of_nothing_is_a_value_and_none_is_the_default() -> None:
         CommandRefused("it was refused", **{"number": cast(Any, 0)})
 
 
+def test_the_usual_words_of_an_error_are_its_cause_and_its_remedy() -> None:
+    class Unplugged(M100Error, cause="the cable is out", remedy="put it in"):
+        pass
+
+    error = Unplugged.usual("no bytes come")
+    assert (error.seen, error.cause, error.remedy) == (
+        "no bytes come",
+        "the cable is out",
+        "put it in",
+    )
+
+
 def test_the_same_error_again_has_its_cause_and_everything_else() -> None:
     lost = AckTimeout("no ack", cause="noise", remedy="ask again", command="land", tries=3)
     lost.__cause__ = KeyError("what went wrong before")

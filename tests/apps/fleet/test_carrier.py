@@ -362,6 +362,20 @@ async def test_a_way_that_is_closed_listens_no_more(rig: Rig) -> None:
     assert not rig.network.takers("subscribe", Keys(SITE, "a1").telemetry)
 
 
+async def test_a_pilot_hears_every_package_and_a_wall_what_suffices_for_it(rig: Rig) -> None:
+    """100 packages a second of an aircraft, or five (documented with the keys)."""
+    await rig.served("a1")
+    channel = await (await rig.pilot()).reach("a1")
+    keys = Keys(SITE, "a1")
+    for full in (True, False, True):
+        channel.watch(full=full)
+        heard = [
+            key for key in (keys.telemetry, keys.thinned) if rig.network.takers("subscribe", key)
+        ]
+        assert heard == [keys.telemetry if full else keys.thinned]
+    channel.close()
+
+
 async def test_what_cannot_be_costs_itself_alone_and_is_reported_once(
     rig: Rig, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import errno
 import os
 import socket
 import ssl
@@ -13,6 +14,7 @@ from typing import Any
 
 import pytest
 
+from m100link.apps.station.web import intake
 from m100link.apps.station.web.intake import Intake, SocketListener
 from m100link.apps.station.web.limits import ConnectionLimit
 from tests.apps.cli.test_serve import certificate
@@ -135,6 +137,28 @@ async def test_without_descriptors_it_waits_and_takes_the_next_one_later() -> No
         async with asyncio.timeout(PATIENCE):
             assert await loop.sock_recv(client, 5) == b"later"
         client.close()
+
+
+@pytest.mark.parametrize("lacking", ["EMFILE", "ENFILE", "ENOBUFS", "ENOMEM"])
+async def test_it_looks_again_when_something_was_lacking_and_serves(
+    monkeypatch: pytest.MonkeyPatch, lacking: str
+) -> None:
+    class Lacking(socket.socket):
+        def accept(self) -> tuple[socket.socket, Any]:
+            if refused:
+                raise OSError(getattr(errno, refused.pop()), "lacking")
+            return super().accept()
+
+    refused = [lacking]
+    monkeypatch.setattr(intake, "_FULL_PAUSE", 0.01)
+    with Lacking() as one:
+        one.bind(("127.0.0.1", 0))
+        one.listen()
+        one.setblocking(False)
+        listener = SocketListener(one, Intake(), ConnectionLimit(), Echo, context=None, patience=30)
+        assert await answers(one.getsockname()[1]) == b"hello"
+        assert refused == []
+        listener.close()
 
 
 async def test_when_it_is_closed_newcomers_are_closed_and_others_stay() -> None:
