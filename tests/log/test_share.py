@@ -28,7 +28,7 @@ from m100link.log import read
 from m100link.log.channels import RX, TX
 from m100link.log.reading import FlightLog
 from m100link.log.records import registered
-from m100link.log.share import _EVENTS, _KEPT, _NAMES, _VOCABULARY, _Cleaner, _Moved, share
+from m100link.log.share import _EVENTS, _KEPT, _NAMES, _VOCABULARY, _Cleaner, _fits, _Moved, share
 from m100link.log.story import read_story
 from m100link.protocol.firmware import profile
 from m100link.protocol.packet import _plan, telemetry_size
@@ -256,6 +256,21 @@ def test_no_word_that_is_not_the_librarys_own_is_copied(tmp_path: Path, seed: in
         for secret in ("Muster", "MUSTER", "laptop", "farm", "47.12", "SN0K", "471234567"):
             is_counter = secret.isdecimal() and one.topic == "/m100/link"
             assert is_counter or secret.encode() not in one.data, one
+
+
+@pytest.mark.parametrize(
+    ("kind", "value", "fits"),
+    [
+        (str, "take_off", True), (str, "Muster", False), (int, "take_off", False),
+        (bool, True, True), (int, True, False), (int, 999_999, True), (int, 1_000_000, False),
+        (float, 3, True), (float, 0.5, True), (int, 0.5, False), (str, 0.5, False),
+    ],
+)  # fmt: skip
+def test_a_value_is_copied_where_the_library_writes_such_a_one(
+    kind: type, value: object, fits: bool
+) -> None:
+    """A number of seven digits or more may be one of somebody."""
+    assert _fits(kind, value) is fits
 
 
 def test_each_word_of_the_agent_may_be_copied() -> None:

@@ -320,6 +320,15 @@ def test_a_field_has_a_greatest_size(name: str, most: Any, more: Any) -> None:
         fields.read(value | {name: more})
 
 
+def test_words_that_are_too_long_are_cut_as_they_are_written() -> None:
+    """Or the other end would refuse the whole message."""
+    fields, long = Fields(Limited), "x" * 5000
+    written = fields.write(Limited(text=long, details={long: long, "height": math.inf, "n": 3}))
+    cut = "x" * 4095 + "…"
+    assert (written["text"], written["details"]) == (cut, {cut: cut, "height": "inf", "n": 3})
+    assert fields.read(written).details == {cut: cut, "height": "inf", "n": 3}
+
+
 # -- messages of the right types that cannot be true are refused as they are read ------------------
 
 

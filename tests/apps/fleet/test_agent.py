@@ -535,8 +535,9 @@ async def test_two_agents_of_one_name_are_refused(rig: Rig) -> None:
     await anyio.sleep(0.1)
     twin = FleetAgent(one.client, rig.network.session(), KEYS, MemoryOrderLog())
     began_at = rig.utc()
-    with pytest.raises(UsageError, match="another agent is named a1"):
+    with pytest.raises(UsageError, match="another agent is named a1") as caught:
         await twin.require_alone()
+    assert "another name" in caught.value.remedy
     assert 2.0 <= rig.utc() - began_at < 3.5, "the token of one that was killed is seen for a while"
 
 

@@ -339,10 +339,11 @@ async def test_a_source_in_which_something_was_cancelled_ends_it() -> None:
         await inner
 
     async with foreign() as (there, aircraft), aircraft.control() as control:
-        with pytest.raises(M100Error, match="was cancelled"):
+        with pytest.raises(M100Error, match="was cancelled") as caught:
             async with asyncio.timeout(10.0), control.follow_target(source()) as mission:
                 async for _ in mission:
                     pass
+        assert isinstance(caught.value.__cause__, asyncio.CancelledError)
         assert orders(there, 0x31) == [(0x31, 0)]
         await assert_rests(there)
 

@@ -18,7 +18,9 @@ from m100link.flight.missions.events import (
     OWES_A_STOP,
     TRANSITIONS,
     Aborted,
+    Events,
     Finished,
+    MissionProgress,
     Reached,
     RunInput,
     RunState,
@@ -165,6 +167,17 @@ async def test_pushes_behind_an_end_are_waited_for_and_contradict_it(slack_s: fl
         await asyncio.sleep(one.ending.over_at + since + slack_s - clock())
         watch.on_status(flying, clock())
         assert one.flies_all_the_same is flies_on
+
+
+async def test_of_progress_that_nobody_takes_the_newest_stays_and_all_else_does() -> None:
+    """A program that takes none for an hour would be held an hour of events."""
+    events = Events()
+    for number in range(3):
+        events.add(MissionProgress(float(number)))
+        events.add(Reached(number))
+    events.end()
+    taken = [await events.take() for _ in range(5)]
+    assert taken == [Reached(0), Reached(1), MissionProgress(2.0), Reached(2), None]
 
 
 @pytest.mark.parametrize("state", S, ids=lambda s: s.name)

@@ -89,6 +89,20 @@ def test_code_0_not_in_f_from_2_3_on(firmware: str) -> None:
     assert [host.ask(OBTAIN), host.ask(OBTAIN)] == [0, 0]
 
 
+@pytest.mark.parametrize("refusing", ["the mode switch", "the app"])
+@pytest.mark.parametrize("firmware", TWO)
+def test_a_request_that_was_refused_is_not_the_first_of_two(firmware: str, refusing: str) -> None:
+    host = active(firmware)
+    if refusing == "the app":
+        assert host.aircraft.app_takes_control()
+    else:
+        host.aircraft.leave_f()
+    assert host.ask(OBTAIN) not in (2, 3)
+    host.aircraft.app_releases_control()
+    host.aircraft.set_rc_mode("F")
+    assert [host.ask(OBTAIN), host.ask(OBTAIN)] == [3, 2]
+
+
 def test_code_3_mobile_holds_control_in_1_0() -> None:
     host = active()
     assert host.aircraft.app_takes_control()
