@@ -452,6 +452,18 @@ def test_ctrl_c_ends_a_verb_by_its_stop_path_and_not_at_once(cli: CommandLine) -
         signal.signal(signal.SIGINT, before)
 
 
+@pytest.mark.parametrize("missing", ["cyclopts", "rich"])
+def test_without_its_extra_the_command_says_how_to_install_it(missing: str) -> None:
+    """Status 2 is that of a wrong use, as documented; a traceback would have 1."""
+    program = (
+        f"import sys; sys.modules[{missing!r}] = None; from m100link.apps.cli import main; main()"
+    )
+    ended = subprocess.run((sys.executable, "-c", program), capture_output=True, text=True)
+    assert ended.returncode == 2
+    assert f"needs {missing}, which is not installed" in ended.stderr
+    assert "pip install '.[cli]'" in ended.stderr
+
+
 # -- command lines in texts of the program ---------------------------------------------------------
 
 TEXTS_THAT_NAME_A_VERB = {"log csv", "log report", "log recover", "log ros2"}

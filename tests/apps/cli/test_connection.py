@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -53,6 +54,8 @@ def test_ports_are_listed(cli: CommandLine, monkeypatch: pytest.MonkeyPatch) -> 
     assert port["may_open"] is True
     monkeypatch.setattr(sys.stdout, "isatty", lambda: True, raising=False)
     shown = cli("ports").out
+    titles = ["port", "adapter", "may open", "used by", "latency", "stable name"]
+    assert re.split(r" {2,}", shown.splitlines()[0].strip()) == titles
     assert "FTDI FT232R" in shown
     assert "16 ms" in shown
     monkeypatch.setattr(doctor_module, "serial_ports", lambda: ["/dev/there-is-no-port"])
