@@ -117,13 +117,13 @@ VIRTUAL = elsewhere("tests/interop", "tests/browser")
 QUICK = (*ALONE, "-m", "not slow and not smoke")
 # Tests that are not slow, for processes that take about as long as each other, longest first.
 SHARES = {
-    "tests of agents": ("tests/apps/agent", "tests/apps/cli", "tests/apps/doctor"),
     "tests of flights": ("tests/flight",),
-    "tests of fleets": ("tests/apps/fleet", "tests/apps/ros2"),
+    "tests of agents": ("tests/apps/agent", "tests/apps/cli"),
     "tests of the console": ("tests/apps/station",),
     "tests of MAVLink": ("tests/apps/mavlink",),
-    "tests of the simulator": ("tests/sim", "tests/log", "tests/missions"),
-    "tests of each front": ("tests/apps/test_every_front.py",),
+    "tests of fleets": ("tests/apps/fleet",),
+    "tests of each front": ("tests/apps/test_every_front.py", "tests/apps/ros2"),
+    "tests of the simulator": ("tests/sim", "tests/log", "tests/missions", "tests/telemetry"),
 }
 SHARED = [folder for folders in SHARES.values() for folder in folders]
 CHECKED = ("m100link", "tests", "examples", "benchmarks", "noxfile.py", "docs/_ext")
