@@ -116,7 +116,16 @@ def elsewhere(*folders: str) -> list[str]:
 MAVLINK, ROS2 = "tests/interop/mavlink", "tests/interop/ros2"
 VIRTUAL = elsewhere("tests/interop", "tests/browser")
 QUICK = (*ALONE, "-m", "not slow and not smoke")
-# Tests that are not slow, for processes that take about as long as each other, longest first.
+AIRBORNE = tuple(f"tests/apps/{room}" for room in ("agent", "fleet", "mavlink", "ros2"))
+# The tests that are not slow, in three processes that know nothing of each other: workers that
+# report 20,000 tests to one take a tenth more, and each of them has to read all files.
+QUIET: Commands = {
+    "tests": [pytest(*QUICK, *VIRTUAL, *elsewhere("tests/apps"))],
+    "tests of fronts": [pytest(*QUICK, "tests/apps", *elsewhere(*AIRBORNE))],
+    "tests of agents": [pytest(*QUICK, *AIRBORNE)],
+}
+# And in eight of the same length, for a machine on which other programs compete for the processors.
+# On one that is quiet they would cost a seventh more: each imports for itself.
 SHARES = {
     "tests of flights": ("tests/flight",),
     "tests of agents": ("tests/apps/agent", "tests/apps/cli"),
@@ -127,6 +136,10 @@ SHARES = {
     "tests of the simulator": ("tests/sim", "tests/log", "tests/missions", "tests/telemetry"),
 }
 SHARED = [folder for folders in SHARES.values() for folder in folders]
+BUSY: Commands = {
+    **{title: [pytest(*QUICK, *folders)] for title, folders in SHARES.items()},
+    "other tests": [pytest(*QUICK, *VIRTUAL, *elsewhere(*SHARED))],
+}
 CHECKED = ("m100link", "tests", "examples", "benchmarks", "noxfile.py", "docs/_ext")
 # The longest flight begins first.
 PROGRAMS = sorted(
@@ -159,11 +172,8 @@ KINDS = {
     ),
     "quick": Kind(
         "Tests that are not slow, and some in real time: a flight for each front among them.",
-        # Processes that know nothing of each other: workers that report 20,000 tests to one take a
-        # tenth more, and each of them has to read all files.
         {
-            **{title: [pytest(*QUICK, *folders)] for title, folders in SHARES.items()},
-            "other tests": [pytest(*QUICK, *VIRTUAL, *elsewhere(*SHARED))],
+            **QUIET,
             # They wait for terminals, processes and a browser more than they compute.
             "smoke tests": [pytest(*workers(4), "-m", "smoke", *marked("smoke"))],
         },
@@ -416,10 +426,12 @@ def run_all(session: nox.Session, commands: Commands) -> None:
     an idle machine: beside a type checker that had more, a flight came to stand for half a second,
     which its guards end. On a busy machine that priority is none: what has not ended beside the
     flights begins again after them. On one that is busy from the beginning, all that computes runs
-    at once, and so has more shares of the processors.
+    at once, in more processes, and so has more shares of the processors.
     """
     processors = os.cpu_count() or 1
     is_busy = idle_processors() < processors / 4
+    if is_busy and commands.keys() >= QUIET.keys():
+        commands = {t: commands[t] for t in commands if t not in QUIET} | BUSY
     lanes = [({t: commands[t] for t in ts if t in commands}, width) for ts, width in LANES]
     beside = {t: commands[t] for t in BESIDE if t in commands and not is_busy}
     apart = {title for lane, _ in lanes for title in lane} | beside.keys()

@@ -165,7 +165,7 @@ def test_a_column_that_is_almost_one_is_named(cli: CommandLine) -> None:
 
 def test_help_and_version(cli: CommandLine) -> None:
     version = cli("--version")
-    told = rf"{re.escape(m100link.__version__)} \((commit [0-9a-f]{{12}}|no commit is known)\)\n"
+    told = rf"{re.escape(m100link.__version__)} \((commit [0-9a-f]{{12}}\+?|no commit is known)\)\n"
     assert version.status == 0
     assert re.fullmatch(told, version.out)  # it is known where a build installed the package
     overview = cli("--help")
