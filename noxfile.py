@@ -125,7 +125,7 @@ QUIET: Commands = {
     "tests of agents": [pytest(*QUICK, *AIRBORNE)],
 }
 # And in eight of the same length, for a machine on which other programs compete for the processors.
-# On one that is quiet they would cost a seventh more: each imports for itself.
+# On one that is quiet they would only cost more: each imports for itself.
 SHARES = {
     "tests of flights": ("tests/flight",),
     "tests of agents": ("tests/apps/agent", "tests/apps/cli"),
